@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 
+import bag_maker
 import field_logs
 from field_logs import COUNT, STEP_S, clock, lines, numbers
 from gnomon import read
@@ -285,3 +286,14 @@ def test_block_by_block_is_the_same(write, tmp_path) -> None:
     blocks = list(stream.accelerometer)
     np.testing.assert_array_equal(np.concatenate([block.values for block in blocks]), samples.accelerometer.values)
     np.testing.assert_array_equal(np.concatenate([block.t_ns for block in blocks]), samples.accelerometer.t_ns)
+
+
+@pytest.mark.parametrize("form", ["ros1", "ros2", "mcap"])
+def test_an_imu_is_read_from_a_bag_without_looking_at_its_cameras(form, tmp_path) -> None:
+    stamps = bag_maker.T0 + np.rint(T * 1e9).astype(np.int64)
+    messages = [
+        bag_maker.imu("/imu/data_raw", int(ns), gyro=tuple(w), accel=tuple(f))
+        for ns, w, f in zip(stamps, W, F, strict=True)
+    ]
+    pictures = [bag_maker.image(f"/camera{side}", bag_maker.T0, np.zeros((4, 4), np.uint8)) for side in "ab"]
+    _check(read(bag_maker.make_bag(tmp_path, form, [*messages, *pictures])))

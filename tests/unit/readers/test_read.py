@@ -430,7 +430,7 @@ HEAD = "t,ax,ay,az,gx,gy,gz\n0.00,1,2,9.5,4,5,6\n0.01,1,2,9.5,4,5,6\n"
         ("9,1,2,3,4,5,6\n8,1,2,3,4,5,6\n7,1,2,3,4,5,6\n", "does not rise"),
         ("t,gx,gy,gz\n" + "0,1,2,4\n" * 5, "only a gyroscope"),
         (b"\x00\x01\x02" * 300, "binary file"),
-        (b"#ROSBAG V2.0\n" + b"\x00" * 100, "ROS 1 bag"),
+        (b"#ROSBAG V2.0\n" + b"\x00" * 100, "damaged or cut off"),
         (b"\x89HDF\r\n\x1a\n" + b"\x00" * 100, "HDF5"),
     ],
 )

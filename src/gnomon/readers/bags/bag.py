@@ -56,6 +56,7 @@ def open_bag(
     suggested: Mapping[str, str] = _NONE,
     units: Units | None = None,
     need_imu: bool | None = True,
+    with_cameras: bool = True,
 ) -> ImageRecording:
     """Open a bag: read the samples of its IMUs, and prepare the streams of its cameras.
 
@@ -67,6 +68,7 @@ def open_bag(
     suggested : the same as Kalibr's files name them; used where the bag holds them
     units : of the IMUs' samples where they are not in m/s^2 and rad/s, as sensor_msgs/Imu has them
     need_imu : whether a bag without IMU is an error; None to pass over IMUs
+    with_cameras : whether images are looked at
 
     Returns
     -------
@@ -83,7 +85,7 @@ def open_bag(
     check_stated(topics)
     notes: list[str] = []
     parts = bag_parts(Path(path), notes)
-    order = _Order(topics=topics, suggested=suggested, units=units or Units(), need_imu=need_imu)
+    order = _Order(topics=topics, suggested=suggested, units=units or Units(), need_imu=need_imu, cameras=with_cameras)
     with ThreadPoolExecutor(max_workers=1) as beside:  # hashing lets other threads run
 
         @cache
@@ -117,12 +119,13 @@ class _Order:
     suggested: Mapping[str, str]
     units: Units
     need_imu: bool | None
+    cameras: bool
 
 
 def _recording(
     bag: Bag, order: _Order, hashing: Callable[[], "Future[tuple[Source, ...]]"], notes: list[str]
 ) -> ImageRecording:
-    cameras = camera_topics(bag, order.topics, order.suggested, notes)
+    cameras = camera_topics(bag, order.topics, order.suggested, notes) if order.cameras else {}
     candidates = [] if order.need_imu is None else imu_candidates(bag, order.topics)
     if not candidates and order.need_imu:
         raise RecordingError(

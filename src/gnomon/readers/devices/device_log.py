@@ -61,6 +61,7 @@ def read_device_log(
 
 def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
     from .ardupilot_log import is_dataflash, read_dataflash
+    from .bag_log import is_imu_bag, read_imu_bag
     from .gpmf import is_gpmf, read_gpmf
     from .phone_log import is_phone_log, read_phone_log
     from .px4_ulog import is_ulog, read_ulog
@@ -72,6 +73,7 @@ def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
         (is_gpmf, read_gpmf),
         (is_ulog, read_ulog),
         (is_dataflash, read_dataflash),
+        (is_imu_bag, read_imu_bag),
         (is_phone_log, read_phone_log),
     )
     return next((reader for is_such, reader in readers if is_such(path)), None)
