@@ -47,6 +47,7 @@ class FrozenMapping(Mapping[Key, Value_co]):
 
 
 Class = TypeVar("Class", bound=type)
+_FEW = 4  # values, or fields of one, that are shown inside of another
 
 
 @overload
@@ -120,8 +121,24 @@ def _values(value: Any, chosen: Callable[[Field[Any]], bool] = lambda _: True) -
 
 
 def _text(self: Any) -> str:
-    shown = (f"{entry.name}={getattr(self, entry.name)!r}" for entry in fields(self) if entry.repr)
+    shown = (f"{entry.name}={_short(getattr(self, entry.name))}" for entry in fields(self) if entry.repr)
     return f"{type(self).__qualname__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    """Return a value inside of another as short as a line bears."""
+    kind: type = type(value)
+    if kind.__repr__ is _text and len(fields(kind)) > _FEW:
+        return f"{kind.__qualname__}(...)"
+    if hasattr(kind, "dtype"):
+        return repr(value) if value.size <= _FEW else f"array{tuple(value.shape)}"
+    if isinstance(value, Mapping):
+        held: Mapping[Any, Any] = value
+        return "{" + ", ".join(f"{key!r}: {_short(one)}" for key, one in held.items()) + "}"
+    if isinstance(value, tuple):
+        items: tuple[Any, ...] = value
+        return repr(items) if len(items) <= _FEW else f"({len(items)} of {type(items[0]).__qualname__})"
+    return repr(value)
 
 
 def _equal(self: Any, other: Any) -> bool:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..findings import Finding
-from ..formats.shared.entries import parameter_unit
 from ..formats.shared.losses import prior_held_names
 from ..recording import Floats
 from ..results.calibration import Calibration, calibration_parameters, element_names
+from ..results.parameter_units import parameter_unit
 from ..results.trust import UncertaintySummary
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 

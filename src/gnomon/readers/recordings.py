@@ -1,15 +1,19 @@
 """What was stated by the user and what was read so far, while a recording of several files is put together."""
 
+import hashlib
 from dataclasses import dataclass, field, replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
+from ..recording.dataframes import dataframe_text, is_dataframe
 from ..units import Units
 from .devices.device_log import is_device_log
-from .files import NPZ_MAGIC, file_source, first_bytes, read_text_file
+from .files import NPZ_MAGIC, TextFile, file_source, first_bytes, read_text_file
 from .samples.column_help import HELP
 from .samples.folder import recording_files
 from .samples.pose_files import FEWEST_FILES, join_pose_tables, pose_files
@@ -45,7 +49,7 @@ Streams = tuple[StampedTriad | None, StampedTriad | None, StampedTriad | None]
 
 
 def read(
-    *paths: str | Path,
+    *paths: Any,
     columns: str | None = None,
     rate_hz: float | None = None,
     units: str | Units | None = None,
@@ -55,7 +59,7 @@ def read(
     Parameters
     ----------
     paths : a file, a folder, or an accelerometer file and a gyroscope file; text may be gzipped; three files or
-        more, or a folder of such, are one pose each
+        more, or a folder of such, are one pose each. Or a DataFrame of pandas or polars
     columns : what the columns of a text table are, such as "t ax ay az gx gy gz"; _ skips a column
     rate_hz : sample rate of a recording without timestamps [Hz]
     units : "si", "raw" or a list such as "g deg/s us"; recognised from headers and magnitudes where not given
@@ -67,6 +71,14 @@ def read(
     OptionError
         If an option does not fit the recording.
     """
+    for path in paths:
+        if not isinstance(path, str | PathLike) and not is_dataframe(path):
+            raise OptionError(f"gnomon.read takes paths, or a DataFrame, and was given a {type(path).__name__}.")
+    frames = [path for path in paths if is_dataframe(path)]
+    if frames:
+        if len(paths) > 1:
+            raise OptionError("a DataFrame holds a recording; of several things one at a time is read.")
+        return _read_dataframe(frames[0], columns, rate_hz, units)
     logged = _read_logged(WITH_RESTS, paths, columns, rate_hz, units)
     if logged is not None:
         return logged
@@ -145,6 +157,22 @@ def read_recognising(
         return _read_npz(files, columns, rate_hz, stated, recogniser)
     texts = [read_text_file(path) for path in files]
     tables = [read_table(text, columns, rate_hz, stated) for text in texts]
+    return _of_tables(recogniser, texts, files, tables, stated)
+
+
+def _read_dataframe(frame: Any, columns: str | None, rate_hz: float | None, units: str | Units | None) -> Recording:
+    """Read a DataFrame as the table that it is."""
+    data = dataframe_text(frame)
+    source = Source(name="DataFrame", sha256=hashlib.sha256(data).hexdigest())
+    text = TextFile(name="DataFrame", data=data, source=source)
+    stated = _stated(units, rate_hz)
+    table = read_table(text, columns, rate_hz, stated)
+    return _of_tables(WITH_RESTS, [text], [Path(text.name)], [table], stated)
+
+
+def _of_tables(
+    recogniser: Recogniser, texts: list[TextFile], files: list[Path], tables: list[SampleTable], stated: Units
+) -> Recording:
     notes = [note for table in tables for note in table.notes]
     tables, files, magnetometer = without_magnetometer(tables, files)
     streams = inertial_streams(tables, files, notes, alone=magnetometer is None)

@@ -1,11 +1,14 @@
 """Samples of an IMU or of one triad, as recorded, with their timestamps and their unit."""
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import RecordingError
 from ..frozen import value_class
 from ..models.noise import ImuNoise
 from .arrays import Floats, Integers, frozen_array, usual_step
+from .dataframes import make_dataframe
 
 
 @value_class
@@ -60,6 +63,17 @@ class TriadSamples:
     def duration_s(self) -> float:
         """Time from the first to the last timestamp [s]."""
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
+
+    def to_dataframe(self) -> Any:
+        """Return the samples as a DataFrame of pandas or polars: t_s, and x, y, z with their unit in the name.
+
+        Raises
+        ------
+        OptionError
+            If neither is installed.
+        """
+        axes = {f"{axis} [{self.unit}]": self.values[:, i] for i, axis in enumerate("xyz")}
+        return make_dataframe({"t [s]": self.t_s, **axes})
 
 
 @value_class

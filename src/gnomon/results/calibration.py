@@ -3,9 +3,9 @@
 The sensors themselves are described in `sensors`, the names of their scalars in `calibration_parameters`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from ..frozen import FrozenMapping, value_class
 from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
+from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
+from .parameter_units import element_units
 from .parameters import calibration_parameters, covariance_names, element_names, moved_into_frame, moved_to_origin
 from .sensors import (
     AccelerometerCalibration,
@@ -335,16 +337,47 @@ class Calibration:
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, uncertainty=uncertainty)
 
+    def to_dataframe(self) -> Any:
+        """Return the parameters as a DataFrame of pandas or polars: name, value, sigma and unit of each scalar.
+
+        Raises
+        ------
+        OptionError
+            If neither is installed.
+        """
+        rows = [row for path, value in self._parameters() for row in self._scalars(path, value)]
+        return make_dataframe(dict(zip(("name", "value", "sigma", "unit"), zip(*rows, strict=True), strict=True)))
+
+    def _parameters(self) -> Iterator[tuple[str, Floats]]:
+        return calibration_parameters(self.imus, self.cameras)
+
+    def _scalars(self, path: str, value: Floats) -> Iterator[tuple[str, float, float, str]]:
+        names, units = element_names(path, np.shape(value)), element_units(self, path)
+        yield from zip(names, np.ravel(value).tolist(), self.sigma(path).ravel().tolist(), units, strict=True)
+
+    def __repr__(self) -> str:
+        """Return it on one line; the numbers are in its table, its fields, and `gnomon show`."""
+        of = ", ".join([*self.imus, *self.cameras])
+        return f"Calibration({self.verdict}, {of}, frame {self.frame}, {len(self.uncertainty.names)} parameters)"
+
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{_cells(value)}</td><td>{_cells(self.sigma(name))}</td></tr>"
-            for name, value in calibration_parameters(self.imus, self.cameras)
-        )
+        known = ((path, value) for path, value in self._parameters() if np.size(value))
+        cells = ((path, _cells(value, self.sigma(path)), element_units(self, path)[-1]) for path, value in known)
+        rows = "".join(f"<tr><td>{'</td><td>'.join(row)}</td></tr>" for row in cells)
         return (
             f"<b>gnomon calibration: {self.verdict}</b> (body frame {self.frame})"
-            f"<table><tr><th>parameter</th><th>estimate</th><th>sigma</th></tr>{rows}</table>"
+            f"<table><tr><th>parameter</th><th>estimate ± standard deviation</th><th>unit</th></tr>{rows}</table>"
         )
 
 
-def _cells(values: Floats) -> str:
-    return "<br>".join(" ".join(f"{x:.6g}" for x in row) for row in np.atleast_2d(values))
+def _cells(values: Floats, sigmas: Floats) -> str:
+    """Return numbers with as many digits as their standard deviations give them."""
+    pairs = zip(np.atleast_2d(values), np.atleast_2d(sigmas), strict=True)
+    return "<br>".join("&emsp;".join(_with_sigma(*pair) for pair in zip(*row, strict=True)) for row in pairs)
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    if not sigma > 0:
+        return f"{value:.6g}"
+    decimals = max(1 - int(np.floor(np.log10(sigma))), 0)
+    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"

@@ -66,3 +66,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         return self.calibration._repr_html_()  # pyright: ignore[reportPrivateUsage]
+
+    def __repr__(self) -> str:
+        """Return it on one line."""
+        return f"Result({self.calibration!r})"

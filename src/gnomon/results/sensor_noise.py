@@ -11,7 +11,7 @@ noise sampled at a rate f has a standard deviation of N sqrt(f) a sample.
 from collections.abc import Mapping
 from dataclasses import field
 from math import log, nan, pi, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
 from ..models.noise import ImuNoise
 from ..recording import Floats
+from ..recording.dataframes import make_dataframe
 from .calibration import Provenance, Verdict
 
 if TYPE_CHECKING:
@@ -246,3 +247,22 @@ class NoiseResult:
     def __post_init__(self) -> None:
         object.__setattr__(self, "curves", FrozenMapping(self.curves))
         object.__setattr__(self, "signals", FrozenMapping(self.signals))
+
+    def to_dataframe(self, triad: str = "gyroscope") -> Any:
+        """Return the Allan deviation of a triad as a DataFrame of pandas or polars, a row for each averaging time.
+
+        Parameters
+        ----------
+        triad : "accelerometer" or "gyroscope"
+
+        Raises
+        ------
+        OptionError
+            If there is no such triad, or neither is installed.
+        """
+        if triad not in self.curves:
+            raise OptionError(f"there is no noise of {triad!r}; it must be one of {', '.join(self.curves)}.")
+        curve = self.curves[triad]
+        parts = {"": curve.deviation, " lower": curve.lower, " upper": curve.upper, " fitted": curve.fitted}
+        axes = {f"{axis}{part}": values[:, i] for i, axis in enumerate("xyz") for part, values in parts.items()}
+        return make_dataframe({"tau [s]": curve.tau_s, **axes})

@@ -24,9 +24,10 @@ from ...results.calibration import (
     calibration_parameters,
     element_names,
 )
+from ...results.parameter_units import element_units
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..foreign import ForeignCalibration, recognised_frame
-from ..shared.entries import IMU_EQUATION, camera_equation, element_units
+from ..shared.entries import IMU_EQUATION, camera_equation
 from ..shared.losses import Context, Export, Loss
 from ..shared.structured import read_structured_text
 from .calibration_file import FIELD_UNITS

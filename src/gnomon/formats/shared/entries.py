@@ -23,73 +23,7 @@ from ...models.frames import Floats
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.projections import PROJECTIONS
 from ...results.calibration import Calibration
-
-_SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-_IMU = {
-    "T_imu_body.rotation": "rad",
-    "T_imu_body.translation": "m",
-    "time_shift_imu": "s",
-    "accelerometer.time_shift": "s",
-}
-_CAMERA = {
-    "T_cam_imu.rotation": "rad",
-    "T_cam_imu.translation": "m",
-    "T_cam_cam0.rotation": "rad",
-    "T_cam_cam0.translation": "m",
-    "time_shift_cam_imu": "s",
-    "line_delay": "s",
-    "intrinsics": "px",
-    "distortion_coeffs": "1",
-}
-
-
-def parameter_unit(calibration: Calibration, path: str) -> str:
-    """Return the unit of a parameter by its path, such as "count/(m/s^2)" for "imu0.accelerometer.sensitivity".
-
-    Of a camera's intrinsics it is that of the focal lengths and the principal point; see `element_units`.
-    """
-    name, _, rest = path.partition(".")
-    if name in calibration.cameras:
-        return _CAMERA[rest]
-    if rest in _IMU:
-        return _IMU[rest]
-    triad, parameter = rest.split(".")
-    imu = calibration.imus[name]
-    if triad == "magnetometer":
-        assert imu.magnetometer is not None
-        return (
-            imu.magnetometer.unit
-            if parameter == "bias"
-            else unit_ratio(imu.magnetometer.unit, imu.magnetometer.field_unit)
-        )
-    if parameter == "lever_arms_m":
-        return "m"
-    sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
-    assert sensor is not None
-    if parameter == "bias":
-        return sensor.unit
-    return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
-
-
-def element_units(calibration: Calibration, path: str) -> list[str]:
-    """Return the units of a parameter's scalars; the first intrinsics of some lenses are pure numbers."""
-    count = calibration.parameter(path).size
-    units = [parameter_unit(calibration, path)] * count
-    return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
-
-
-def unit_ratio(unit: str, other: str) -> str:
-    """Return `unit` divided by `other`.
-
-    Examples
-    --------
-    >>> unit_ratio("count", "m/s^2"), unit_ratio("rad/s", "rad/s"), unit_ratio("m/s^2", "count")
-    ('count/(m/s^2)', '1', '(m/s^2)/count')
-    """
-    if unit == other:
-        return "1"
-    return "/".join(f"({part})" if "/" in part else part for part in (unit, other))
-
+from ...results.parameter_units import unit_ratio
 
 _FORCE, _RATE = "m/s^2", "rad/s"
 _LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
