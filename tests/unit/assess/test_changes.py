@@ -125,6 +125,29 @@ def test_other_courses_of_a_change(share, words):
     assert one.where.startswith(words)
 
 
+@pytest.mark.parametrize(("size", "blocks"), [(8.0, {"imu0.accelerometer.sensitivity"}), (0.0, set())], ids=str)
+def test_two_kinds_of_views_in_no_order_are_told_where_each_view_may_be_another(size, blocks):
+    second = (np.random.default_rng(7).random(40) < 0.3) * 1.0
+    changed = only("imu0.accelerometer.sensitivity", [size, -size, size])
+    for seed in range(3):
+        changes = found(pulls(seed, changed=changed, share=second), order=np.arange(40))
+        assert {one.block for one in changes} == blocks
+        for one in changes:
+            assert one.where == f"in {int(second.sum())} of 40, in no order"
+            z = (np.abs(one.values) - size) / np.sqrt(np.diag(one.covariance))
+            assert np.abs(z).max() < 4
+
+
+def test_views_that_scatter_in_a_block_are_no_two_kinds():
+    """Errors of each view's own look like a lens of each view's own; only two kinds are a change."""
+    rng = np.random.default_rng(11)
+    sums = pulls(4)
+    own = np.concatenate([rng.normal(scale=4.0, size=(40, 4)), np.zeros((40, P - 4))], axis=1)
+    pull = sums.pull + np.einsum("npq,nq->np", sums.information, own)
+    step = np.linalg.solve(sums.total, pull.sum(axis=0))
+    assert not found(replace(sums, pull=pull - sums.information @ step), order=np.arange(40))
+
+
 def test_two_changes_are_told_apart():
     sums = pulls(5, changed=only("imu0.accelerometer.sensitivity", [2.0, 2.0, 2.0]), share=step(15))
     other = pulls(5, changed=only("imu0.gyroscope.sensitivity", [1.5, 1.5, 1.5, 1.5]), share=step(25))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detect.boards.board import SECOND_BOARD
 from ...findings import Finding, make_finding
 from ...models.camera import Camera
 from ...recording import CameraFrames, Floats, FrameQuality, Integers
@@ -107,6 +108,7 @@ def check_quality(name: str, quality: FrameQuality, corners: int, sigma_px: Floa
     found = [
         *blur_findings(name, quality.blur_px),
         *_exposure(name, quality),
+        *_second_board(name, quality.dropped),
         *_dropped(name, quality.dropped, corners),
         *_uncertain(name, sigma_px),
     ]
@@ -194,7 +196,12 @@ def _exposure(name: str, quality: FrameQuality) -> list[Finding]:
     return findings
 
 
+def _second_board(name: str, dropped: Mapping[str, int]) -> list[Finding]:
+    return [make_finding("board-twice", name=name)] if dropped.get(SECOND_BOARD) else []
+
+
 def _dropped(name: str, dropped: Mapping[str, int], corners: int) -> list[Finding]:
+    dropped = {reason: number for reason, number in dropped.items() if reason != SECOND_BOARD}
     count = sum(dropped.values())
     share = count / max(count + corners, 1)
     if share <= _SOME_DROPPED:

@@ -20,7 +20,7 @@ from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, join_corner_fits
-from .board import NOT_WITH_NEIGHBOURS, BoardView, middle_of, nothing_seen
+from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .marker_boards import (
     BORDER_PX,
     CONTRAST,
@@ -51,6 +51,7 @@ from .tag_places import (
 from .tags import BITS, Tags, likeness_of, read_tags, square_to_quads
 
 _FEWEST_TAGS, _FEWEST_CORNERS = 2, 6  # a tag that is alone might be any
+_REPEATED, _LARGER = 2, 2.0  # tags that are there again; how much smaller a picture of the board is, by its sides
 _ENOUGH = 3  # tags; with fewer, the image is looked through in other ways, too
 _MOST_STARTS = 8
 _COARSE_PX = 13.0
@@ -84,34 +85,43 @@ class TagSearch:
     ----------
     grid : the board; None where it was not found
     tags : all that were read; None where there are none
+    second : another board like it; None where there is none
     """
 
     grid: "TagGrid | None"
     tags: Tags | None
+    second: "TagGrid | None" = None
 
     @property
     def strangers(self) -> int:
-        """Number of tags of the board that were read beside it."""
+        """Number of tags of the board that were read beside it, and beside a second one."""
         if self.tags is None:
             return 0
-        return len(self.tags) if self.grid is None else int(np.count_nonzero(self.grid.is_beside(self.tags)))
+        beside = np.ones(len(self.tags), dtype=bool)
+        for board in (self.grid, self.second):
+            if board is not None:
+                beside &= board.is_beside(self.tags)
+        return int(np.count_nonzero(beside))
 
     def view(self, lens: LensGuess | None = None) -> BoardView:
         """Return the corners, without those that are doubtful."""
         dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 4 * self.strangers})
+        if self.second is not None:
+            dropped[SECOND_BOARD] = int(self.second.seen.good.sum())
         return nothing_seen(+dropped) if self.grid is None else self.grid.view(dropped, lens)
 
 
 def search_tags(image: Grey, target: Target) -> TagSearch:
     """Look for the board in the whole image, (h, w) and contiguous."""
-    best, tags = None, None
+    best, tags, second = None, None, None
     for search, tags in _searched(image, target):
-        found = _largest(image, target, tags)
-        if found is not None and (best is None or len(found.seen.number) > len(best.seen.number)):
-            best = found
+        found, other = _largest(image, target, tags)
+        again = other is not None and second is None  # which of both is taken is known from here on
+        if found is not None and (best is None or again or len(found.seen.number) > len(best.seen.number)):
+            best, second = found, other or second
         if best is not None and best.is_whole(doubts=0.0 if search == "coarse" else _DOUBTS):
             break
-    return TagSearch(grid=best, tags=tags)
+    return TagSearch(grid=best, tags=tags, second=second)
 
 
 def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
@@ -135,15 +145,21 @@ def _read(image: Grey, quads: Floats, target: Target) -> Tags:
     return replace(tags, number=tags.number - target.first_tag)
 
 
-def _largest(image: Grey, target: Target, tags: Tags) -> "TagGrid | None":
-    """Return the board that most tags make up; None where there are only single tags."""
-    if not len(tags):
-        return None
-    for members in group_tags(target, tags.number, tags.corners, _MOST_STARTS):
+def _largest(image: Grey, target: Target, tags: Tags) -> "tuple[TagGrid | None, TagGrid | None]":
+    """Return the board that most tags make up, and a second one like it; None where there are only single tags.
+
+    Of two that are about as large the first is the same one in each image (`comes_first`).
+    """
+    first = None
+    for members in group_tags(target, tags.number, tags.corners, _MOST_STARTS) if len(tags) else []:
+        again = members if first is None else members[first.is_again(tags)[members]]
+        if len(again) < (1 if first is None else _REPEATED):
+            continue
         board = TagGrid.grown(image, target, tags.number[members], tags.corners[members])
-        if board.is_one:
-            return board
-    return None
+        if board.is_one and first is not None:
+            return (board, first) if board.is_before(first) else (first, board)
+        first = board if board.is_one else first
+    return first, None
 
 
 def _border(target: Target) -> float:
@@ -330,6 +346,20 @@ class TagGrid:
         at[self.seen.number] = self.seen.corners
         away = np.linalg.norm(at[tags.number] - tags.corners, axis=2).min(axis=1)
         return away > shortest_side(tags.corners) / 2
+
+    def is_again(self, tags: Tags) -> Booleans:
+        """Return which tags are on this board, too, in another place, (k,)."""
+        return self.is_beside(tags) & _within(self.seen.number, self._target.tags)[tags.number]
+
+    def is_before(self, other: "TagGrid") -> bool:
+        """Return whether of two boards alike this is the one to take."""
+        sides = [middle_of(shortest_side(board.seen.corners)) for board in (self, other)]
+        if max(sides) > _LARGER * min(sides):  # one is a picture of the other, on a screen
+            return sides[0] > sides[1]
+        own, others = self.seen.corners, other.seen.corners
+        every = np.stack([own.mean(axis=0), others.mean(axis=0)])
+        middle, beside = every.mean(axis=1)
+        return comes_first(middle, beside, every[:, 1] - every[:, 0], every[:, 3] - every[:, 0])
 
     def view(self, dropped: Counter[str], lens: LensGuess | None = None) -> BoardView:
         """Return the corners, without those that are doubtful.

@@ -13,10 +13,16 @@ from ...recording import Floats, Integers, frozen_array
 NOT_WITH_NEIGHBOURS = "not where its neighbours say"
 """Reason for which corners of tags are left out."""
 
+SECOND_BOARD = "on a second board like the stated one"
+"""Reason for which all corners of the other board are left out where an image shows two of them."""
+
 DIFFERS = "The stated board differs"
 """Where this is said of images, they show an AprilGrid that is not the stated one."""
 
 _FEWEST_GAPS = 20
+_ABOVE = 0.37  # of the way to the right: boards in a column have an order, too
+_UPRIGHT = 0.5
+_IMAGE_RIGHT, _IMAGE_UP = np.array([[1.0, 0.0]]), np.array([[0.0, -1.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,6 +61,21 @@ def nothing_seen(dropped: Mapping[str, int] | None = None) -> BoardView:
     """Return the view of an image in which the board was not found."""
     none = np.empty(0)
     return BoardView(point=np.empty(0, np.int64), pixels=none.reshape(0, 2), sigma_px=none, dropped=dropped or {})
+
+
+def comes_first(middle: Floats, other: Floats, right: Floats = _IMAGE_RIGHT, up: Floats = _IMAGE_UP) -> bool:
+    """Return whether of two boards alike one is that which has the other to its right: the same one in each image.
+
+    Parameters
+    ----------
+    middle, other : (2,) of the board, and of the one like it [px]
+    right, up : (k, 2) ways in the image by what is printed on both, of equal lengths or nearly; those of the image are
+        taken where nothing is given, and where one board hangs upside down
+    """
+    way = (right + _ABOVE * up).mean(axis=0)
+    if np.linalg.norm(way) < _UPRIGHT * np.linalg.norm(right, axis=1).mean():
+        way = _IMAGE_RIGHT[0] + _ABOVE * _IMAGE_UP[0]
+    return float((other - middle) @ way) > 0
 
 
 def middle_of(values: Floats) -> float:

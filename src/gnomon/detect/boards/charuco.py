@@ -21,7 +21,7 @@ from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
 from ..corners.fitted_corners import CornerFits, join_corner_fits
-from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .charuco_lattice import corners_by_lattice
 from .marker_boards import (
     BORDER_PX,
@@ -139,12 +139,16 @@ def _layout(target: Target) -> _Layout:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Board:
-    """Corners in an image: their numbers (m,), their fits (m,), and how many are missing that should be there."""
+    """Corners in an image: their numbers (m,), their fits (m,), and how many are missing that should be there.
+
+    `strange` markers were read beside the board, `second` ones on another board like it.
+    """
 
     number: Integers
     fits: CornerFits
     missed: int
     strange: int
+    second: int = 0
 
 
 def _board(image: Grey, target: Target, markers: Tags) -> _Board | None:
@@ -152,14 +156,35 @@ def _board(image: Grey, target: Target, markers: Tags) -> _Board | None:
     layout = _layout(target)
     number = markers.number - target.first_tag
     H = _from_board(layout.marker_corners[number], markers.corners)
-    for members in _groups(layout, number, markers.corners, H):
-        if len(members) < _FEWEST_MARKERS:
-            break
+    groups = [members for members in _groups(layout, number, markers.corners, H) if len(members) >= _FEWEST_MARKERS]
+    second = 0
+    if again := [k for k in range(1, len(groups)) if _is_again(markers, groups[0], groups[k])]:
+        other = again[0]
+        if _is_before(markers.corners[groups[other]], markers.corners[groups[0]]):
+            groups[0], groups[other] = groups[other], groups[0]
+        second = len(groups.pop(other))
+    for members in groups:
         start = _next_to_markers(image, target, number[members], H[members])
         if start is None:
             continue
-        return _grown(image, target, *start, strange=len(markers) - len(members))
+        grown = _grown(image, target, *start, strange=len(markers) - len(members) - second)
+        return replace(grown, second=second)
     return None
+
+
+def _is_again(markers: Tags, first: Integers, other: Integers) -> bool:
+    """Return whether two groups have markers in common, in different places."""
+    _, one, two = np.intersect1d(markers.number[first], markers.number[other], return_indices=True)
+    corners = markers.corners[first[one]]
+    away = np.linalg.norm(corners.mean(axis=1) - markers.corners[other[two]].mean(axis=1), axis=1)
+    return bool(np.count_nonzero(away > shortest_side(corners)) >= _FEWEST_MARKERS)
+
+
+def _is_before(own: Floats, others: Floats) -> bool:
+    """Return whether of two boards, of whose markers these are the corners (k, 4, 2), the first is the one to take."""
+    every = np.stack([own.mean(axis=0), others.mean(axis=0)])
+    middle, other = every.mean(axis=1)
+    return comes_first(middle, other, every[:, 1] - every[:, 0], every[:, 0] - every[:, 3])
 
 
 def _by_lattice(image: Grey, target: Target) -> _Board | None:
@@ -344,7 +369,9 @@ def _view(image: Grey, target: Target, board: _Board) -> BoardView:
     """Return the corners, without those that are doubtful."""
     number, fits = board.number, board.fits
     points = _layout(target).points
-    dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 2 * board.strange, COVERED: board.missed})
+    dropped = Counter[str](
+        {NOT_WITH_NEIGHBOURS: 2 * board.strange, SECOND_BOARD: 2 * board.second, COVERED: board.missed}
+    )
     whole = inside_image(image, fits.pixels, BORDER_PX)
     dropped[NEAR_BORDER] += int(np.count_nonzero(~whole))
     number, fits = number[whole], fits.only(whole)

@@ -11,6 +11,7 @@ lattice that slipped by a square has the colours exchanged, one that slipped by 
 """
 
 from collections import Counter
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from ...models.target import Target
 from ...recording import Floats
 from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
-from .board import BoardView, middle_of, nothing_seen
+from .board import SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps
 from .lattice import Lattice, find_lattices, find_saddles
 from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
@@ -33,6 +34,7 @@ _WINDOW, _SMALLEST, _LARGEST = 0.3, 2, 5  # half width of the window of the firs
 _RADIUS = 0.65  # of the fit's window over the height of a square
 _FARTHEST = 0.35  # that a corner may move in its refinement, in squares
 _FEWEST = 6
+_LATTICES = 3  # that are looked at
 
 # Of the tracker: a search now and then.
 _SEARCH_EVERY = 50
@@ -62,14 +64,24 @@ def find_board(image: Grey, target: Target) -> CheckerboardGrid | None:
     while scale >= 1:
         small = reduce_image(image, scale)
         lattices = find_lattices(small, find_saddles(small))
-        for lattice in lattices[:2]:
-            board = _board_of(image, lattice, scale, target)
-            if board is not None:
-                return board
+        boards = [board for one in lattices[:_LATTICES] if (board := _board_of(image, one, scale, target)) is not None]
+        if boards:
+            return _first_of(boards)
         if not any(_asks_for_more(lattice) for lattice in lattices[:3]):
             return None
         scale //= 2
     return None
+
+
+def _first_of(boards: list[CheckerboardGrid]) -> CheckerboardGrid:
+    """Return the board, or of two the one to the left, which says that there is another."""
+    first, *others = boards
+    apart = [
+        one for one in others if np.linalg.norm(one.middle - first.middle) > 0.5 * np.ptp(first.grid, (0, 1)).min()
+    ]
+    if not apart:
+        return first
+    return replace(first if comes_first(first.middle, apart[0].middle) else apart[0], again=True)
 
 
 def _asks_for_more(lattice: Lattice) -> bool:
@@ -147,7 +159,7 @@ def measure_corners(image: Grey, board: CheckerboardGrid, lens: LensGuess | None
     along_rows, along_cols = grid_steps(grid)
     height = _square_heights(grid).ravel()
     guess = np.ascontiguousarray(grid.reshape(-1, 2))
-    dropped: Counter[str] = Counter()
+    dropped: Counter[str] = Counter({SECOND_BOARD: len(guess)} if board.again else {})
     numbers = np.arange(len(guess))
     limits = np.array([image.shape[1] - 1, image.shape[0] - 1]) - BORDER_PX
     inside = ((guess >= BORDER_PX) & (guess <= limits)).all(axis=1)

@@ -34,12 +34,19 @@ class CheckerboardGrid:
     clear : (rows, cols) whether the four squares at a corner are black and white in turn, as the board has them
     known : (rows, cols) whether all four are in the image
     dark : whether the square between corners (0, 0) and (1, 1) is black
+    again : whether a search saw a second board like it
     """
 
     grid: Floats
     clear: Booleans
     known: Booleans
     dark: bool
+    again: bool = False
+
+    @property
+    def middle(self) -> Floats:
+        """Middle of its corners, (2,) [px]."""
+        return self.grid.mean(axis=(0, 1))
 
     @property
     def complete(self) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
-from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .checkerboard import reduce_image
 from .disc_fit import DiscFits, fit_discs
 from .discs import Discs, disc_lattices, find_discs, grids_in
@@ -76,6 +76,7 @@ def _found(image: Grey, target: Target, light: bool) -> BoardView:
     scale = max(int(np.ceil(np.sqrt(image.size / _LARGE_IMAGE_PX))), 1)
     while scale >= 1:
         discs = find_discs(reduce_image(image, scale))
+        views: list[BoardView] = []
         for lattice in disc_lattices(discs)[:2]:
             for node in grids_in(lattice, target)[:1]:
                 there = np.flatnonzero(node >= 0)
@@ -84,10 +85,20 @@ def _found(image: Grey, target: Target, light: bool) -> BoardView:
                     pixels=(discs.pixels[chosen] + 0.5) * scale - 0.5, shape=discs.shape[chosen] * float(scale**2)
                 )
                 view = _measured(image, target, there, found, light)
-                if len(view):
-                    return view
+                views += [view] if len(view) else []
+        if views:
+            return _first_of(views)
         scale //= 2
     return nothing_seen()
+
+
+def _first_of(views: list[BoardView]) -> BoardView:
+    """Return the view, or of two boards that of the one to the left, which says that there is another."""
+    if len(views) < 2:
+        return views[0]
+    middles = [view.pixels.mean(axis=0) for view in views]
+    first, other = views if comes_first(*middles) else views[::-1]
+    return replace(first, dropped={**first.dropped, SECOND_BOARD: len(other)})
 
 
 def _measured(image: Grey, target: Target, number: Integers, discs: Discs, light: bool) -> BoardView:

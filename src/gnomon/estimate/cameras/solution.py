@@ -29,6 +29,9 @@ _BAD_FRAME = 4.0  # scatter of a frame over the usual one
 _REMOVALS = 3
 
 
+_OTHER_BOARD = "Check that the target file describes the board."
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
     """Where the iterations are."""
@@ -57,8 +60,22 @@ def solve_rig(
     Raises
     ------
     SolveError
-        If the cost is not a finite number at the start.
+        If the cost is not a finite number at the start, or the estimation runs away.
     """
+    try:
+        with np.errstate(all="ignore"):  # what does not suit the views runs away, and is told by what comes out
+            found = _solved(views, start, board, robust, most_iterations)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(f"the estimation of the cameras runs away. {_OTHER_BOARD}") from error
+    for name, seen in found.corners.items():
+        if not np.isfinite(seen.residual).any():
+            raise SolveError(f"{name}: the estimation runs away, its lens images no corner. {_OTHER_BOARD}")
+    return found
+
+
+def _solved(
+    views: RigViews, start: CameraRig, board: tuple[str, ...], robust: bool, most_iterations: int
+) -> RigSolution:
     problem = Problem.of(views, start, board, robust)
     state = _minimum(problem, start, problem.first_noise(start), most_iterations)
     for _ in range(_REMOVALS if robust else 0):
@@ -130,8 +147,7 @@ class _Trial:
     @classmethod
     def of(cls, state: _State, rig: CameraRig, equations: ReducedEquations, shared: Floats) -> "_Trial":
         """Return the rig after a step of the shared parameters that the poses follow."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of what runs away; it is no better then
-            poses = equations.poses(shared)
+        poses = equations.poses(shared)
         if not (np.isfinite(shared).all() and np.isfinite(poses).all()):
             return cls(rig=rig, at=state.at, cost=np.inf)
         moved = state.problem.layout.moved(rig, poses, shared)

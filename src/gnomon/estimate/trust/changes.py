@@ -12,7 +12,8 @@ Its covariance is held against the scatter of what is left of the pulls once the
 levels of noise that the change inflated nor its own scatter hide it: w = d in units of its ordinary covariance, stretch
 c moves it by h_c, and T^2 = w' V^-1 w with V = sum over clusters of h h' over what is expected of independent errors,
 drawn to the mean of all directions as far as few clusters tell it. T^2 / rank follows F (Hotelling, 1931). The largest
-of all looks counts, and so does their number (Bonferroni).
+of all looks counts, and so does their number (Bonferroni). Views that may be of another lens each are sorted into two
+kinds, too, by what each tells of a block: any such sorting is a look, of 2^n.
 
 A lens or a board that the model does not quite describe errs by where the board is, and parts of a recording differ in
 that for longer than any cluster lasts. So what the longest clusters certainly show beyond independent errors is taken
@@ -39,6 +40,8 @@ _FEWEST_IN_PART = 5  # stretches
 _MOST = 3  # changes that are told apart
 _MOST_BORDERS = 48  # that are tried to find when
 _BORDERS_COUNT = 8  # as so many looks: parts whose borders are near each other differ alike
+_SORTED_FROM, _SORTINGS = (0.5, 0.2, 0.8), 10  # shares of one kind to start sorting from; steps at most
+_MOST_LOOKS = 1000  # of which the logarithm to base 2
 _LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
 _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
@@ -54,12 +57,14 @@ _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
 class _Cut:
     """A course of a change: its share (n,) in each stretch, zero in the first part and one in the second, in words.
 
-    `at_s` is from when on, of a change at once; else nan [s].
+    `at_s` is from when on, of a change at once; else nan [s]. `looks` is out of how many it was chosen for what the
+    stretches hold.
     """
 
     share: Floats
     words: str
     at_s: float = math.nan
+    looks: float = 1.0
 
 
 @value_class
@@ -120,8 +125,8 @@ def parameter_changes(
     names : (m,) of the scalars, such as "imu0.gyroscope.sensitivity[0,1]"
     biases : paths of biases, which may differ between parts and are not judged
     judged : (m,) bool, scalars that were estimated and are to be judged; all where not given
-    order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared; their order where
-        not given
+    order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared, where each is a
+        view by itself that may be of another kind than the next; not given where they follow each other in time
     """
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
@@ -131,7 +136,7 @@ def parameter_changes(
     blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
     courses = _courses(sums.t_s, np.arange(n) if order is None else order)
     looks = len(blocks) * sum(min(len(course), _BORDERS_COUNT) for course in courses)
-    scan = _Scan(sums=sums, wandering=wandering, looks=looks)
+    scan = _Scan(sums=sums, wandering=wandering, looks=looks, sorting=order is not None)
     found: list[ParameterChange] = []
     for _ in range(min(_MOST, len(blocks))):
         best = scan.most_certain(blocks, courses)
@@ -152,12 +157,14 @@ class _Scan:
     sums : of stretches
     wandering : (p, b) directions of the biases, or None
     looks : how many independent ones are as likely to find something by chance
+    sorting : whether the stretches may be of two kinds in no order
     given : changes found before
     """
 
     sums: ClusterSums
     wandering: Floats | None
     looks: int
+    sorting: bool = False
     given: tuple[_Term, ...] = ()
 
     def beside(self, block: _Block, cut: _Cut) -> "_Scan":
@@ -178,7 +185,49 @@ class _Scan:
                 chance = _chance(self._estimate(block, course[at]), len(self.sums), least)
                 if chance < least:
                     best, least = (block, course[at]), chance
+        for block in blocks if self.sorting else ():
+            cut = self._sorted(block)
+            chance = (
+                1.0
+                if cut is None
+                else cut.looks * _chance(self._estimate(block, cut), len(self.sums), least / cut.looks)
+            )
+            if cut is not None and chance < least:
+                best, least = (block, cut), chance
         return best
+
+    def _sorted(self, block: _Block) -> _Cut | None:
+        """Return the cut between stretches that tell of two values of a block; None where a part has too few."""
+        n, q = len(self.sums), block.directions.shape[1]
+        own = block.directions.T @ self.sums.information @ block.directions
+        told = np.linalg.solve(
+            own + own.mean(axis=0) + _LOOSE * np.eye(q), (self.sums.pull @ block.directions)[..., None]
+        )
+        along = told[:, :, 0] @ np.linalg.svd(told[:, :, 0], full_matrices=False)[2][0]
+        found = [self._sorted_from(block, along > np.quantile(along, level)) for level in _SORTED_FROM]
+        second = max(found, key=lambda one: one[1])[0]
+        if not _FEWEST_IN_PART <= second.sum() <= n - _FEWEST_IN_PART:
+            return None
+        words = f"in {min(second.sum(), n - second.sum())} of {n}, in no order"
+        return _Cut(share=second.astype(np.float64), words=words, looks=2.0 ** min(n, _MOST_LOOKS))
+
+    def _sorted_from(self, block: _Block, second: Booleans) -> tuple[Booleans, float]:
+        """Return the stretches that are of the second kind, and by how much two kinds lower the cost."""
+        sums, count, gained = self.sums, block.directions.shape[1], 0.0
+        for _ in range(_SORTINGS):
+            cut = _Cut(share=second.astype(np.float64), words="")
+            design, on = _design(sums, (*self.given, _Term(cut=cut, directions=block.directions)))
+            normal, right = _normal_equations(sums, design, on, _size(sums))
+            step = np.linalg.solve(normal, right)
+            gained = float(step @ right)
+            common = (on * step)[:, :-count] @ design[:, :-count].T
+            left = sums.pull - np.einsum("npq,nq->np", sums.information, common)
+            change = block.directions @ step[-count:]
+            sorted_anew = left @ change > 0.5 * np.einsum("npq,p,q->n", sums.information, change, change)
+            if (sorted_anew == second).all():
+                break
+            second = sorted_anew
+        return second, gained
 
     def _explained(self, blocks: Sequence[_Block], cuts: Sequence[_Cut]) -> Floats:
         """Return the squares (cuts, blocks) of changes in units of their ordinary covariance.
@@ -222,7 +271,7 @@ class _Scan:
             covariance=root @ scatter @ root.T,
             where=cut.words,
             at_s=cut.at_s,
-            chance=min(1.0, self.looks * _chance(found, n)),
+            chance=min(1.0, self.looks * cut.looks * _chance(found, n)),
         )
 
     def _estimate(self, block: _Block, cut: _Cut) -> _Estimate | None:

@@ -177,5 +177,6 @@ class _Model:
         free = np.concatenate([always, *(candidate.columns for candidate in kept)]).astype(np.int64)
         own = held.of_parameters(free)
         step, covariance = whole_estimate(own)
-        estimate[free], sigma[free] = step, np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore"):  # of what runs away
+            estimate[free], sigma[free] = step, np.sqrt(np.diag(covariance))
         return cls(costs=costs + held_out_costs(own), estimate=estimate, sigma=sigma)
