@@ -6,7 +6,7 @@ import numpy as np
 
 from ...recording import Floats
 from .recognise import gravity_unit
-from .text_table import TextLayout, is_number, rises
+from .text_table import TextLayout, column_rises, is_number
 
 HELP = 'Say what the columns are with --columns, for example --columns "t ax ay az gx gy gz" (_ skips a column).'
 TRIAL = ' By their values, try --columns "{}".'
@@ -30,7 +30,7 @@ def columns_help(layout: TextLayout, quantities: Sequence[str] = ()) -> str:
         name = f"{i + 1} ({layout.header[i][:40]})" if layout.header else f"{i + 1}"
         good = column[np.isfinite(column)]
         span = f"{good.min():.6g} to {good.max():.6g}" if len(good) else "no numbers"
-        listed.append(f"{name}: {span}{', rises' if rises(layout, i) else ''}")
+        listed.append(f"{name}: {span}{', rises' if column_rises(layout, i) else ''}")
     more = "; ..." if layout.columns > _MOST_LISTED else ""
     words = _likely_columns(layout, values, quantities or ["other"] * layout.columns)
     trial = "" if words is None else TRIAL.format(" ".join(words))
@@ -48,7 +48,7 @@ def _sample_values(layout: TextLayout) -> Floats:
 def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) -> list[str] | None:
     """Return a word for each column: a time that rises, three that read gravity, three beside them; None without."""
     words = ["_"] * layout.columns
-    rising = [i for i in range(layout.columns) if rises(layout, i) and len(np.unique(values[:, i])) > 2]
+    rising = [i for i in range(layout.columns) if column_rises(layout, i) and len(np.unique(values[:, i])) > 2]
     time = next((i for i in rising if not (np.diff(values[:, i]) == 1).all()), next(iter(rising), None))  # no counter
     if time is not None:
         words[time] = "t"

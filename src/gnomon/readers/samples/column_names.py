@@ -6,7 +6,7 @@ from typing import Literal
 
 from ...errors import OptionError, RecordingError
 from .column_help import columns_help
-from .text_table import TextLayout, is_number, rises
+from .text_table import TextLayout, column_rises, is_number
 
 Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "unnamed", "other"]
 
@@ -310,13 +310,13 @@ def _by_number(layout: TextLayout, where: str) -> Roles:
     count = layout.columns
     if count in {3, 6}:
         return Roles(time=(), triads=_triads(0, count))
-    if count in {4, 7} and rises(layout):
+    if count in {4, 7} and column_rises(layout):
         return Roles(
             time=((0, None),),
             triads=_triads(1, count),
             notes=(f"{where}: no header; the first column rises steadily and was taken for the time.",),
         )
-    if count in {4, 7} and rises(layout, count - 1):
+    if count in {4, 7} and column_rises(layout, count - 1):
         return Roles(
             time=((count - 1, None),),
             triads=_triads(0, count - 1),

@@ -23,7 +23,7 @@ from ...results.intervals import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS_NS, Units
 from ..files import TextFile
 from .column_names import column_name, unit_of
-from .printed_lines import tabulated
+from .printed_lines import lines_as_table
 from .table import RATE_HELP, preamble_rate
 from .text_table import Column, TextLayout, numbered_rows, parse_columns, sniff_layout
 
@@ -105,7 +105,7 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     RecordingError
         If it is a table of poses that cannot be used; the message says where.
     """
-    file = tabulated(file)
+    file = lines_as_table(file)
     layout = sniff_layout(file)
     names = columns.replace(",", " ").split() if columns is not None else list(layout.header)
     if not names and layout.columns in (3, 6) and _is_short(layout, file) and preamble_rate(layout.preamble) is None:

@@ -19,7 +19,7 @@ from ...errors import RecordingError
 from ...recording import Source
 from ..files import TextFile
 from .column_names import OTHER, column_name, time_columns, unit_of
-from .text_table import rises, sniff_layout
+from .text_table import column_rises, sniff_layout
 
 PRINTED_HEAD_BYTES, _HEAD_LINES, _LONGEST_LINE = 65_536, 200, 2000
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|NaN|NAN|inf|INF))(?![\w.]*(?:\][ \t]*)?[:=])"
@@ -70,7 +70,7 @@ class PrintedForm:
     delimiter: bytes = b","
 
 
-def tabulated(file: TextFile) -> TextFile:
+def lines_as_table(file: TextFile) -> TextFile:
     """Return the table that the lines of a log mean; the file itself where it is a table already."""
     form = printed_form(file.data)
     if form is None:
@@ -109,7 +109,7 @@ def _clock_form(head: list[bytes]) -> PrintedForm | None:
         return None if own else PrintedForm(lines=(), header=(), clock=True, in_place=True)
     if layout is None:
         return None
-    own = own or (not layout.header and (rises(layout) or rises(layout, layout.columns - 1)))
+    own = own or (not layout.header and (column_rises(layout) or column_rises(layout, layout.columns - 1)))
     return PrintedForm(lines=(), header=(), clock=not own, delimiter=(layout.delimiter or " ").encode())
 
 

@@ -12,7 +12,7 @@ from ...units import Units
 from ..files import TextFile
 from .column_help import HELP, columns_help
 from .column_names import Roles, column_name, column_roles, unit_of
-from .printed_lines import tabulated
+from .printed_lines import lines_as_table
 from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
@@ -81,7 +81,7 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     OptionError
         If `columns` does not fit the table.
     """
-    file = tabulated(file)
+    file = lines_as_table(file)
     layout = sniff_layout(file)
     used = column_roles(layout, columns, file.name)
     data, cut = _parse(file, layout, used)

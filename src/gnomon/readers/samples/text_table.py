@@ -152,7 +152,7 @@ def _header_tokens(line: str, delimiter: str | None) -> list[str]:
     return [token.strip('"').strip() for token in split_line(line, delimiter)]
 
 
-def rises(layout: TextLayout, column: int = 0) -> bool:
+def column_rises(layout: TextLayout, column: int = 0) -> bool:
     """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
     tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
     numbers = np.array([float(token.replace(",", ".")) for token in tokens])
