@@ -256,8 +256,9 @@ def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> 
     corner = np.repeat(known, sums.lengths) & np.isfinite(sums.residual[:, 0])
     frame = np.repeat(exposures.frame, sums.lengths)[corner]
     comparable = sums.comparable[corner]
-    squared = np.einsum("ij,ij->i", comparable, comparable)
-    ordered = squared[np.lexsort((squared, frame))]
+    pairs = np.empty(len(frame), dtype=np.complex128)  # sorted frame by frame, and by distance in each
+    pairs.real, pairs.imag = frame, np.einsum("ij,ij->i", comparable, comparable)
+    ordered = np.sort(pairs).imag
     size = int(exposures.frame.max()) + 1
     counts = np.bincount(frame, minlength=size)
     middle = np.cumsum(counts) - counts + counts // 2
