@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from board_views import BOARD, MODELS, STEP_NS, lens, pose, seen
-from gnomon.errors import InitialisationError, OptionError
+from gnomon.errors import InitialisationError, OptionError, SolveError
 from gnomon.estimate.cameras.board_shape import board_points, stated_shape
 from gnomon.estimate.cameras.first_lens import first_lens, fit_lens_model, general_lens
 from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, number_views_alike
@@ -138,6 +138,16 @@ def test_bad_frames_are_left_out_and_bad_corners_count_less() -> None:
     assert set(plain.corners["cam0"].frame.tolist()) >= {3, 17}
     assert (plain.corners["cam0"].weight == 1).all()
     assert plain.sigma_px["cam0"] > 1
+
+
+def test_an_estimation_that_runs_away_is_an_error_that_names_the_target_file() -> None:
+    """As with the target file of another board: no corner is imaged, and nothing is determined."""
+    frames = seen({"cam0": lens("pinhole-radtan")}, ALONE, 6, 5)
+    views = gathered_views(frames, BOARD)
+    start = first_rig(views, {"cam0": "pinhole-radtan"})
+    behind = replace(start, p_cam0_target=-start.p_cam0_target)
+    with pytest.raises(SolveError, match=r"runs away.* target file"):
+        solve_rig(views, behind)
 
 
 def test_what_the_detector_knows_of_corners_weighs_them() -> None:
