@@ -181,14 +181,14 @@ class AllanFit:
 
         No kind of noise does so but quantisation, at short ones; nor does a wave to the end.
         """
-        from scipy.stats import chi2
+        from scipy.special import chdtr  # a part of what loading chi2 costs  # pyright: ignore[reportMissingTypeStubs]
 
         white = self.straight[:, _WHITE]
         level, freedom = straight / white, 2 * white**2 / np.diag(self.covariance[_WHITE, _WHITE])
         for stop in range(_FEWEST, len(level) - 2):
             ratio = level[stop:] / level[stop - _LOOK_BACK : stop].max()
             falls = (ratio < _FALLEN).all() and ratio[-2:].mean() < _FALLEN * ratio[0]
-            if falls and chi2.cdf(freedom[stop:] * ratio, freedom[stop:]).min() < _NO_CHANCE:
+            if falls and chdtr(freedom[stop:], freedom[stop:] * ratio).min() < _NO_CHANCE:
                 return max(stop - _BEFORE_FALL, _FEWEST)
         return len(level)
 
