@@ -19,7 +19,6 @@ LINES = [
 MISTAKES = {
     "show": "CALIBRATION",
     "show a b": "one too many: b",
-    "show a --json --json": "given 2 times",
     "show a --jso": "Did you mean --json",
     "show a --form kalib": "did you mean kalibr",
     "show a --for --json": "expected 1 argument",
@@ -99,3 +98,7 @@ def test_what_is_simulated_is_a_word_of_its_own_or_an_imu():
     assert type(parsed("simulate -o x.npz")) is COMMANDS["simulate imu"]
     with pytest.raises(OptionError, match="is one of imu, poses"):
         parsed("simulate pses -o x")
+
+
+def test_of_an_option_that_is_given_twice_the_last_counts():
+    assert parsed("imu a.csv --gravity 9.81 --json --gravity 9.8 --json").options.gravity == 9.8

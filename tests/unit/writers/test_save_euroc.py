@@ -61,7 +61,7 @@ def test_it_reads_back_to_the_same_numbers(tmp_path):
     said, notes = [], []
     save_euroc(recording, tmp_path / "out", said.append, notes)
     assert notes == ["the bag ends early.", "the bag ends early."]
-    assert "writing cam0: image 1 of 20" in said
+    assert "writing images of cam0: 1 of 20" in said
     again = open_images(tmp_path / "out")
     for name in streams:
         (t_ns, images, _), (expected_t, expected, _) = frames_of(again, name), frames_of(recording, name)

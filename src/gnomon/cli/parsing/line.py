@@ -82,10 +82,8 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
             yield entry.place, read_value(entry, given if isinstance(given, list) else [given])
         elif entry.argument.appends:
             yield entry.place, read_value(entry, [word for words in given for word in words])
-        elif len(given) > 1:
-            raise OptionError(f"{entry.called} is given {len(given)} times; once is meant.")
-        else:
-            yield entry.place, not entry.default if entry.kind is bool else read_value(entry, given[0])
+        else:  # the last counts, as is usual: so a script's options can be overruled
+            yield entry.place, not entry.default if entry.kind is bool else read_value(entry, given[-1])
 
 
 def _dest(entry: Entry) -> str:
