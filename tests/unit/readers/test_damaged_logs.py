@@ -98,3 +98,11 @@ def test_counters_of_32_bits_go_on_in_blocks_and_other_steps_back_stay() -> None
     for others in ([5_000_000, 10, 20], [100, 4_000_000_000, 101], [1_600_000_000_000_000_000, 5]):
         stamps = np.array(others)
         np.testing.assert_array_equal(Unwrapper()(stamps), stamps)
+
+
+def test_named_columns_that_are_not_used_are_told(tmp_path) -> None:
+    path = field_logs.lines(
+        tmp_path / "log.csv", lambda i: f"{i / 50},1,2,{i % 3},24.5,7", "t,ax,ay,az,temperature,btn"
+    )
+    notes = read(path, units="si").assumptions
+    assert "log.csv: columns that are not used: temperature, btn." in notes

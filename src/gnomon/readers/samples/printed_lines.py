@@ -123,15 +123,13 @@ def _lines(data: bytes) -> Iterator[bytes]:
 
 def _without_clock(line: bytes) -> tuple["re.Match[bytes] | None", bytes]:
     """Return the clock at the beginning of a line, if there is one, and what follows it."""
-    match = _CLOCK.search(line)
-    if match is None or line[: match.start()].strip():
-        return None, line
-    return match, line[match.end() :]
+    match = _CLOCK.match(line.lstrip())
+    return (None, line) if match is None else (match, match.string[match.end() :])
 
 
 def _unframed(line: bytes) -> tuple[bytes, bool]:
     """Return a line without the frame of a sentence, "$NAME,...*hh" as "NAME: ...", and whether its checksum agrees."""
-    match = _FRAME.search(line)
+    match = _FRAME.search(line) if b"$" in line else None
     if match is None:
         return line, True
     total = 0

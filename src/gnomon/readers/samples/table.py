@@ -28,6 +28,9 @@ _PREAMBLE = re.compile(
     r"\W*(?P<tail>[A-Za-z]*)\W*"
 )
 
+_MOST_LISTED = 6
+"""Names of columns that are not used that a sentence gives."""
+
 _LONGEST_LINE = 200
 """Characters of a line of the preamble that states a rate."""
 
@@ -101,7 +104,8 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
             values[:, axis] = data[i]
         values.flags.writeable = False  # so that it is kept without a copy
         triads.append(Triad(quantity=triad.quantity, values=values, unit=triad.unit))
-    notes = (*file.notes, *used.notes, *(text for text in (note, cut) if text))
+    left = None if columns is not None or file.header else _left_columns(file.name, layout, used)
+    notes = (*file.notes, *used.notes, *(text for text in (note, left, cut) if text))
     only = [triad.quantity for triad in triads] == ["gyroscope"]
     advice = columns_help(layout, [column_name(name).quantity for name in layout.header]) if only else HELP
     return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=notes, advice=advice)
@@ -122,6 +126,14 @@ def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column
             raise
         # Timestamps that begin as whole numbers need not stay so.
         return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
+
+
+def _left_columns(name: str, layout: TextLayout, used: Roles) -> str | None:
+    """Return which named columns are not used, or None."""
+    taken = {i for i, _ in used.time} | {i for triad in used.triads for i in triad.columns}
+    left = [text for i, text in enumerate(layout.header) if i not in taken and text]
+    listed = ", ".join(left[:_MOST_LISTED]) + (f" and {len(left) - _MOST_LISTED} more" if left[_MOST_LISTED:] else "")
+    return f"{name}: columns that are not used: {listed}." if left else None
 
 
 def _made_stamps(file: TextFile, layout: TextLayout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
