@@ -54,7 +54,7 @@ class Check(Command):
 
         path = self.recording.path
         folder = path / "mav0" if (path / "mav0").is_dir() else path
-        if holds_images(path):
+        if holds_images(path) and not _is_bag_of_imu(path):
             return _check_images(self, terminal)
         if folder.is_dir() and holds_corners(folder):
             return _check_corners(self, terminal)
@@ -66,6 +66,16 @@ class Check(Command):
                 "in this one."
             )
         return _check_imu(self, terminal)
+
+
+def _is_bag_of_imu(path: Path) -> bool:
+    from ..readers.devices.bag_log import is_imu_bag
+
+    if not is_imu_bag(path):
+        return False
+    from ..readers.bags.bag import bag_holds_only_imu
+
+    return bag_holds_only_imu(path)
 
 
 def _check_imu(command: Check, terminal: Terminal) -> int:

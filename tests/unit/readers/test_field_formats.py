@@ -297,3 +297,11 @@ def test_an_imu_is_read_from_a_bag_without_looking_at_its_cameras(form, tmp_path
     ]
     pictures = [bag_maker.image(f"/camera{side}", bag_maker.T0, np.zeros((4, 4), np.uint8)) for side in "ab"]
     _check(read(bag_maker.make_bag(tmp_path, form, [*messages, *pictures])))
+
+
+def test_a_bag_of_an_imu_alone_is_told_from_one_with_images(tmp_path) -> None:
+    from gnomon.readers.bags.bag import bag_holds_only_imu
+
+    samples = bag_maker.usual(images=0)
+    assert bag_holds_only_imu(bag_maker.make_bag(tmp_path, "ros2", samples, name="alone"))
+    assert not bag_holds_only_imu(bag_maker.make_bag(tmp_path, "ros2", bag_maker.usual(), name="rig"))

@@ -22,7 +22,7 @@ from ..files import file_source
 from ..images.image_pixels import compressed_image, grey_image
 from ..rig.imu_stream import in_order
 from ..samples.recognise import IN_MOTION
-from .messages import COMPRESSED_IMAGE, Wire, compressed_message, image_message, stamp_ns
+from .messages import COMPRESSED_IMAGE, IMAGE, Wire, compressed_message, image_message, stamp_ns
 from .storage import Bag, BrokenBagError, Topic, bag_parts, looks_like_bag, open_indexed, open_sequential
 from .survey import ImageTrack, ImuTrack, imu_samples, settle_times, survey_topics
 from .topics import (
@@ -34,6 +34,7 @@ from .topics import (
     imu_candidates,
     imu_topics,
     list_topics,
+    usable_topics,
 )
 
 _NONE: Mapping[str, str] = MappingProxyType({})
@@ -108,6 +109,15 @@ def bag_holds_imu(path: str | PathLike[str]) -> bool:
     try:
         return bool(imu_candidates(open_indexed(bag_parts(Path(path), [])), {}))
     except BrokenBagError:
+        return False
+
+
+def bag_holds_only_imu(path: str | PathLike[str]) -> bool:
+    """Tell by its list of topics whether a bag has samples of an IMU and no images; False for one without its list."""
+    try:
+        bag = open_indexed(bag_parts(Path(path), []))
+        return bool(imu_candidates(bag, {})) and not usable_topics(bag, (IMAGE, COMPRESSED_IMAGE))
+    except (BrokenBagError, RecordingError):
         return False
 
 
