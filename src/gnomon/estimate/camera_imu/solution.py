@@ -135,7 +135,7 @@ def minimise_cost(
                 first,
                 estimate_noise=estimate_noise,
                 estimate_walks=estimate_walks,
-                gate=gate and judgements <= _JUDGEMENTS,
+                gate=gate and settled and judgements <= _JUDGEMENTS,
                 tolerance=_NOISE_AT_REST if settled else _NOISE_ROUGHLY,
             )
             found = judged.found
