@@ -16,7 +16,7 @@ from .command import (
     Seed,
     output_option,
 )
-from .inputs import judged_result, read_priors, read_use_option
+from .inputs import judged_result, read_priors, read_use_option, result_with_reading
 from .output_folder import (
     DEMO_RECORDING,
     RESULT_FILES,
@@ -79,7 +79,7 @@ class Imu(Command):
         with result_folder(folder, "imu") as staging:
             options = replace(self.options, prior=known.stated)
             result = calibrate_imu(recordings, options, progress=terminal.progress, prior=known.calibrations)
-            result = judged_result(result, use)
+            result = result_with_reading(judged_result(result, use), source.table)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = summary_lines(result.calibration)
         return print_result(result.calibration, lines, folder, assumptions, terminal, source=source)

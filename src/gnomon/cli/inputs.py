@@ -1,11 +1,11 @@
 """What options name: other calibrations of the sensor, the use that is judged for, files beside a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import OptionError
+from ..errors import OptionError, RecordingError
 from ..models.lens_programs import PROGRAMS
 
 if TYPE_CHECKING:
@@ -134,6 +134,35 @@ def judged_result(result: "Result", use: "Use | None") -> "Result":
     return replace(result, calibration=judge(result.calibration, use))
 
 
+def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
+    """Return a result whose calibration remembers how its recording was read, where the recording did not tell."""
+    stated = {name: str(value) for name, value in table.items() if value is not None}
+    calibration = result.calibration
+    provenance = replace(calibration.provenance, options={**calibration.provenance.options, **stated})
+    return replace(result, calibration=replace(calibration, provenance=provenance))
+
+
+def remembered_reading(calibration: "Calibration", paths: Sequence[Path]) -> dict[str, Any]:
+    """Return how a calibration's recording was read, for tables without a header, which say as little as that one did.
+
+    Nothing is returned for other recordings, which tell themselves what their columns are.
+    """
+    from ..readers.files import first_bytes
+    from ..readers.samples.text_table import has_header
+
+    options = calibration.provenance.options
+    known: dict[str, Any] = {name: options[name] for name in ("columns", "rate_hz", "units") if name in options}
+    if not known or not all(path.is_file() for path in paths):
+        return {}
+    try:
+        if any(has_header(path.name, first_bytes(path, _HEAD_BYTES)) for path in paths):
+            return {}
+    except RecordingError:  # no table of text
+        return {}
+    return known | ({"rate_hz": float(known["rate_hz"])} if "rate_hz" in known else {})
+
+
+_HEAD_BYTES = 65_536
 _BESIDE = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
 """Option -> Kalibr's file that is taken from the recording's folder."""
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from ..options import MagnetometerOptions
 from ..simulate import FieldScenario
 from .command import Command, Flat, ForUse, Input, Report, Seed, output_option
-from .inputs import judged_result, read_priors, read_use_option
+from .inputs import judged_result, read_priors, read_use_option, result_with_reading
 from .output_folder import default_folder, result_folder
 from .results import print_assumptions, print_result, write_result
 from .simulated import write_simulated
@@ -52,7 +52,7 @@ class Magnetometer(Command):
             print_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
             options = replace(self.options, prior=known.stated)
             result = calibrate_magnetometer(recording, options, progress=terminal.progress, prior=known.calibrations)
-            result = judged_result(result, use)
+            result = result_with_reading(judged_result(result, use), source.table)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = magnetometer_lines(result)
         return print_result(result.calibration, lines, folder, recording.assumptions, terminal, source=source)

@@ -17,6 +17,7 @@ from .command import (
     output_option,
     use_option,
 )
+from .inputs import remembered_reading
 from .results import (
     USABLE,
     calibration_document,
@@ -131,7 +132,8 @@ class Apply(Command):
         from ..writers.apply import apply_files
 
         source = self.recording
-        imus = load(self.calibration).imus
+        calibration = load(self.calibration)
+        imus = calibration.imus
         if not imus:
             raise OptionError(
                 f"{self.calibration}: this calibration is of cameras alone; only samples of an IMU are corrected. Give "
@@ -139,15 +141,16 @@ class Apply(Command):
             )
         name = _chosen_imu(self, tuple(imus))
         imu = imus[name]
-        rows = apply_files(
-            imu,
-            *_tables(source.paths, name),
-            output=self.output,
-            imu=name,
-            columns=source.columns,
-            rate_hz=source.rate,
-            units=None if source.units is None else Units.parse(source.units),
-        )
+        tables = _tables(source.paths, name)
+        kept = remembered_reading(calibration, tables)
+        stated = {option: value for option, value in source.table.items() if value is not None}
+        reading = {"units": None} | kept | stated
+        if kept.keys() - stated.keys():
+            told = ", ".join(f"{option} {kept[option]}" for option in kept if option not in stated)
+            terminal.warn(f"read as the recording of the calibration: {told}.")
+        units = reading.pop("units")
+        units = None if units is None else Units.parse(units)
+        rows = apply_files(imu, *tables, output=self.output, imu=name, units=units, **reading)
         terminal.print(f"{rows} rows in {self.output}")
         if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
             terminal.print(

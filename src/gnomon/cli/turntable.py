@@ -12,7 +12,7 @@ from ..simulate.platter_scenario import PlatterScenario
 from ..simulate.scenarios import TurntableScenario
 from ..units import Units, parse_rate
 from .command import Command, Flat, ForUse, Report, Seed, output_option
-from .inputs import judged_result, read_priors, read_use_option
+from .inputs import judged_result, read_priors, read_use_option, result_with_reading
 from .output_folder import default_folder, result_folder, truth_name
 from .parsing.arguments import Argument
 from .results import USABLE, print_assumptions, print_result, write_result
@@ -98,7 +98,7 @@ class Turntable(Command):
                 rate_of=rate_of,
                 videos=videos,
             )
-            result = judged_result(result, use)
+            result = result_with_reading(judged_result(result, use), table)
             write_result(result, staging, report=self.report, terminal=terminal)
         return print_result(result.calibration, _summary_lines(result), folder, assumptions, terminal)
 

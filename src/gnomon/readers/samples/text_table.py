@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import measurable_numbers
+from ...recording import Source, measurable_numbers
 from ..files import TextFile
 
 _HEAD_BYTES = 65_536
@@ -112,6 +112,17 @@ def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
         offset=sum(len(line) for line in raw[:first]),
         sample=sample,
     )
+
+
+def has_header(name: str, head: bytes) -> bool:
+    """Return whether a table names its columns, by its first bytes.
+
+    Raises
+    ------
+    RecordingError
+        If it is no table.
+    """
+    return bool(sniff_layout(TextFile(name=name, data=head, source=Source(name=name, sha256=""))).header)
 
 
 def _best_delimiter(lines: list[str]) -> tuple[str | None, bool]:
