@@ -1,6 +1,6 @@
 """The commands on noise."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -101,21 +101,28 @@ def _print(found: "SensorNoise", terminal: Terminal) -> None:
 
 def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
     """Yield the coefficients of a sensor, a line for each kind of noise, 80 columns wide."""
-    import numpy as np
-
-    from ..results.sensor_noise import COEFFICIENTS, SYMBOLS, UNITS
-    from .summary import common_decimals, common_power
+    from ..results.sensor_noise import COEFFICIENTS, DATASHEET_UNITS, SYMBOLS, UNITS
 
     yield f"\n{sensor:<15}{'x':<18}{'y':<18}z"
     for name in COEFFICIENTS:
         found = [axis.coefficients()[name] for axis in triad.axes]
-        values = np.array([one.most for one in found])
-        sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])
-        power = common_power(values, sigmas)
-        decimals = min(common_decimals(sigmas / 10.0**power), 4)
-        cells = "".join(_cell(one, 10.0**-power, decimals) for one in found)
-        unit = f"10^{power} {UNITS[sensor][name]}" if power else UNITS[sensor][name]
-        yield f"  {SYMBOLS[name]}  {cells}{unit}"
+        yield f"  {SYMBOLS[name]}  {_row(found, UNITS[sensor][name])}"
+        for unit, factor in DATASHEET_UNITS[sensor].get(name, ()):
+            yield f"     {_row([one.scaled(factor) for one in found], unit)}"
+
+
+def _row(found: "Sequence[Coefficient]", unit: str) -> str:
+    """Return the coefficients of three axes with one power of ten, and their unit."""
+    import numpy as np
+
+    from .summary import common_decimals, common_power
+
+    values = np.array([one.most for one in found])
+    sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])
+    power = common_power(values, sigmas)
+    decimals = min(common_decimals(sigmas / 10.0**power), 4)
+    cells = "".join(_cell(one, 10.0**-power, decimals) for one in found)
+    return cells + (f"10^{power} {unit}" if power else unit)
 
 
 def _cell(found: "Coefficient", factor: float, decimals: int) -> str:

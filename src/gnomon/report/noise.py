@@ -10,6 +10,7 @@ from ..recording import Floats
 from ..results.imu_diagnostics import SignalEnvelope
 from ..results.sensor_noise import (
     COEFFICIENTS,
+    DATASHEET_UNITS,
     SENSOR_UNITS,
     SYMBOLS,
     UNITS,
@@ -111,20 +112,19 @@ def _coefficients(result: NoiseResult) -> Section:
         "coefficients",
         "Coefficients",
         "Each with its standard deviation. Where the recording does not show a kind of noise, an upper bound is "
-        "given instead (about 97 %).",
+        "given instead (about 97 %). Below the SI units stand those of data sheets; their bias instability is the "
+        "floor of the Allan deviation, 0.664 B, or B, and few say which.",
         tables,
     )
 
 
 def _table(sensor: str, triad: TriadNoise) -> ReportTable:
-    rows = [
-        (
-            f"{name.replace('_', ' ')} {SYMBOLS[name]}",
-            *(_text(axis.coefficients()[name]) for axis in triad.axes),
-            _pretty(UNITS[sensor][name]),
-        )
-        for name in COEFFICIENTS
-    ]
+    rows: list[tuple[str, ...]] = []
+    for name in COEFFICIENTS:
+        axes = [axis.coefficients()[name] for axis in triad.axes]
+        rows.append((f"{name.replace('_', ' ')} {SYMBOLS[name]}", *map(_text, axes), _pretty(UNITS[sensor][name])))
+        for unit, factor in DATASHEET_UNITS[sensor].get(name, ()):
+            rows.append(("", *(_text(one.scaled(factor)) for one in axes), _pretty(unit)))
     misfit = ("misfit of the curve", *(f"{number_text(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
     return ReportTable(sensor.capitalize(), ("", *AXES, "unit"), (*rows, misfit), dense=True)
 
@@ -205,7 +205,9 @@ def _use() -> Section:
 
 
 def _pretty(unit: str) -> str:
-    return unit.replace("^2", "²").replace("^3", "³").replace("sqrt(Hz)", "√Hz")
+    for plain, pretty in (("^2", "²"), ("^3", "³"), ("sqrt(Hz)", "√Hz"), ("sqrt(h)", "√h"), ("ug", "µg")):
+        unit = unit.replace(plain, pretty)
+    return unit
 
 
 _DENSE = 160

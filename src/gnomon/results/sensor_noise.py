@@ -10,8 +10,8 @@ noise sampled at a rate f has a standard deviation of N sqrt(f) a sample.
 
 from collections.abc import Mapping
 from dataclasses import field
-from math import log, nan, pi, sqrt
-from typing import TYPE_CHECKING, Any
+from math import degrees, log, nan, pi, sqrt
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..frozen import FrozenMapping, value_class
 from ..models.noise import ImuNoise
 from ..recording import Floats
 from ..recording.dataframes import make_dataframe
+from ..units import STANDARD_GRAVITY_M_S2
 from .calibration import Provenance, Verdict
 
 if TYPE_CHECKING:
@@ -48,6 +49,26 @@ UNITS: Mapping[str, Mapping[str, str]] = {
     },
 }
 """Sensor -> coefficient -> unit."""
+
+_DEG_PER_H, _SQRT_H = degrees(3600.0), 60.0
+_UG_PER_M_S2 = 1e6 / STANDARD_GRAVITY_M_S2
+DATASHEET_UNITS: Mapping[str, Mapping[str, tuple[tuple[str, float], ...]]] = {
+    "accelerometer": {
+        "white_noise": (("ug/sqrt(Hz)", _UG_PER_M_S2), ("m/s/sqrt(h)", _SQRT_H)),
+        "bias_instability": (("ug", _UG_PER_M_S2),),
+        "random_walk": (("ug/sqrt(h)", _UG_PER_M_S2 * _SQRT_H),),
+    },
+    "gyroscope": {
+        "white_noise": (("deg/s/sqrt(Hz)", degrees(1.0)), ("deg/sqrt(h)", degrees(_SQRT_H))),
+        "bias_instability": (("deg/h", _DEG_PER_H),),
+        "random_walk": (("deg/h/sqrt(h)", _DEG_PER_H * _SQRT_H),),
+    },
+}
+"""Sensor -> coefficient -> the units of data sheets, each with how many of it are one of `UNITS`.
+
+deg/sqrt(h) is the angle random walk, m/s/sqrt(h) the velocity random walk: what white noise adds up to (IEEE 952). The
+bias instability of data sheets is the floor of the Allan deviation, 0.664 B, or B; few say which.
+"""
 
 SENSOR_UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 
@@ -79,6 +100,10 @@ class Coefficient:
     def most(self) -> float:
         """The estimate, or the upper bound where there is none."""
         return self.value if self.found else self.bound
+
+    def scaled(self, factor: float) -> Self:
+        """Return it in another unit, of which so many are one."""
+        return type(self)(value=factor * self.value, sigma=factor * self.sigma, bound=factor * self.bound)
 
 
 @value_class(eq=True)
