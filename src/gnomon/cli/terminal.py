@@ -74,6 +74,8 @@ class Terminal:
 
     def draw(self, thing: "RenderableType") -> None:
         """Print a table; nothing when the output is JSON."""
+        if self.as_json and self._log is None:
+            return
         from rich.console import Console
 
         # Names of files, sensors and topics are text, whatever brackets they hold; rich drops control characters.
@@ -112,7 +114,7 @@ class Terminal:
         if begins:
             self._stage, self._first, self._began_s = step.stage, step.done, time.monotonic()
         if begins or not step.of:
-            self._keep(step)
+            self._keep(printable_text(step))
         if self._quiet or (step.detail and not self._verbose):
             return
         if sys.stderr.isatty():
