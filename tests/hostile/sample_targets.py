@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.io import savemat
 
 import gnomon
 from gnomon.readers.samples.stream import open_stream
@@ -54,6 +55,19 @@ def tables() -> list[bytes]:
         b"# Fs: 100\n" + b"\n".join(line.partition(b",")[2] for line in plain.splitlines()) + b"\n",
         poses("ax,ay,az"), b"Time,%time,field.header.stamp\n" + plain,
     ]  # fmt: skip
+
+
+def matlab_files() -> list[bytes]:
+    t, force, rate = moved()
+    made: list[bytes] = []
+    for content, compressed in (
+        ({"t": t, "acc": force, "gyro": rate}, False),
+        ({"log": {"a": force, "Fs": 100.0}}, True),
+    ):
+        file = io.BytesIO()
+        savemat(file, content, do_compression=compressed)
+        made.append(file.getvalue())
+    return made
 
 
 def npz(compressed: bool, **changes: Any) -> bytes:
@@ -209,6 +223,9 @@ SAMPLES: tuple[Target, ...] = (
     Target(
         name="euroc-imu-folder", file="mav0/imu0/data.csv", form="text", seeds=lambda: [table()],
         read=gnomon.read,
+    ),
+    Target(
+        name="mat", file="rec.mat", seeds=matlab_files, read=lambda folder: gnomon.read(folder / "rec.mat"),
     ),
     Target(
         name="npz", file="rec.npz", seeds=archives, read=lambda folder: gnomon.read(folder / "rec.npz"),

@@ -86,7 +86,7 @@ def read_text_file(path: Path) -> TextFile:
     """
     head = first_bytes(path)
     if head.startswith(MAT_MAGIC):
-        from .matlab import read_mat_table  # scipy.io takes its time
+        from .matlab import read_mat_table
 
         return read_mat_table(path)
     if not head.startswith((_GZIP, *_UTF_16)):

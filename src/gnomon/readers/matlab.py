@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..formats.shared.structured import shorten_text
 from .files import TextFile, file_source
+from .mat5 import read_mat
 from .samples.column_names import column_name
 
 _SAVE = "Save arrays of numbers, such as save('log.mat', 't', 'acc', 'gyro', '-v7'), with one row a sample."
@@ -24,14 +25,10 @@ def read_mat_table(path: Path) -> TextFile:
     RecordingError
         If it is damaged, or holds no arrays of one length.
     """
-    from scipy.io import loadmat
-
     try:
-        loaded = loadmat(path, simplify_cells=True)
-    except (ValueError, TypeError, OSError, NotImplementedError, EOFError, KeyError, IndexError) as error:
-        raise RecordingError(
-            f"{path.name}: the MAT file cannot be read ({shorten_text(str(error))}). {_SAVE}"
-        ) from None
+        loaded = read_mat(path)
+    except RecordingError as error:
+        raise RecordingError(f"{error} {_SAVE}") from None
     arrays: dict[str, NDArray[Any]] = {}
     _flatten(loaded, "", arrays)
     lengths = Counter(len(array) for array in arrays.values() if array.ndim and len(array) > 1)

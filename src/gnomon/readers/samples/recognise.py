@@ -186,7 +186,7 @@ def _turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers
     span = float(t_ns[size - 1] - t_ns[0]) * 1e-9
     length = max(1, round(0.1 * size / span)) if span > 0 else 1
     count = size // length
-    if count < 20:
+    if count < 20 or not span > 0:  # stamps may stand still
         return None
     force = accelerometer[: count * length].reshape(count, length, 3).mean(axis=1)
     rate = gyroscope[: count * length].reshape(count, length, 3).mean(axis=1)
