@@ -18,8 +18,8 @@ import pytest
 
 pytest.importorskip("resource", reason="signals and limits as POSIX has them")
 
-from gnomon.cli.study_journal import JOURNAL
 from gnomon.output import put_in_place
+from gnomon.study.journal import JOURNAL
 from killing import Killer, contents, refill, visible
 
 SMALL = ("--intervals", 12, "--t-init-s", 20, "--hold-s", 3, 3.5, "--rate-hz", 50)

@@ -96,6 +96,8 @@ class _Watch:
         if isinstance(path, int) or str(path) == str(_CLEAR):
             return
         text = path.decode(errors="replace") if isinstance(path, bytes) else str(path)
+        if Path(text).parent.name == "__pycache__":  # a module is imported for the first time; that is the interpreter
+            return
         writes = event != "open" or (isinstance(mode, str) and any(letter in mode for letter in "wax+"))
         inside = Path(text).absolute().resolve().is_relative_to(self.folder.resolve()) if self.folder else True
         if writes and text != "/dev/null":

@@ -17,9 +17,9 @@ from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..report.page import ReportPage
+    from ..study.journal import FileJournal
     from ..study.runs import Progress, Workers
     from ..study.tables import Claim, StudyTable
-    from .study_journal import FileJournal
 
 
 class Found(Protocol):
@@ -191,7 +191,7 @@ class Study(Command):
 
         A claim that does not hold is a result like any other: the exit code is that of work which was finished.
         """
-        from .study_journal import study_journal
+        from ..study.journal import study_journal
 
         if self.name is None:
             return _list_studies(terminal)

@@ -10,11 +10,11 @@ import pytest
 
 from gnomon.cli import main
 from gnomon.cli.study import STUDIES, StudyEntry, StudyFunctions, tell_stage
-from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
 from gnomon.progress import Step
 from gnomon.report.page import KeyNumber, render_page
 from gnomon.report.studies.page import study_page
+from gnomon.study.journal import JOURNAL
 from gnomon.study.runs import carry_out, run_seeds, scatter_bounds
 from gnomon.study.tables import Claim, StudyTable, claims_table, ratio_agrees
 from study_work import Task, drawn
@@ -161,7 +161,7 @@ def test_a_finished_study_is_shown_again_from_its_journal_unless_something_chang
     assert main(["study", "quick", "--runs", "7"]) == 0
     assert quick.began == run_seeds(0, 7)[6:]
     quick.began.clear()
-    monkeypatch.setattr("gnomon.cli.study_journal._sources", lambda: "changed")
+    monkeypatch.setattr("gnomon.study.journal._sources", lambda: "changed")
     assert main(["study", "quick"]) == 0
     assert quick.began == run_seeds(0, 6)
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from gnomon.cli.study_journal import study_journal
 from gnomon.errors import OptionError, RecordingError, SolveError
 from gnomon.study import cluster
+from gnomon.study.journal import study_journal
 from gnomon.study.runs import Workers, carry_out
 from study_work import Task, drawn, refused, slow_product
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gnomon.cli import study_journal as module
-from gnomon.cli.study_journal import JOURNAL, study_journal
 from gnomon.errors import OutputError
+from gnomon.study import journal as module
+from gnomon.study.journal import JOURNAL, study_journal
 from gnomon.study.runs import Workers, carry_out
 from study_work import Task, drawn
 

@@ -43,6 +43,18 @@ inline uint8_t readRegister(uint8_t address, uint8_t reg) {
 inline int16_t bigEndian(const uint8_t *data) { return (int16_t)((uint16_t)data[0] << 8 | data[1]); }
 inline int16_t littleEndian(const uint8_t *data) { return (int16_t)((uint16_t)data[1] << 8 | data[0]); }
 
+// Reads 14 bytes from `reg` on, most significant first: the acceleration, then rate and temperature at the places stated.
+inline bool readSample(uint8_t address, uint8_t reg, uint8_t rateAt, uint8_t temperatureAt, Sample *sample) {
+  uint8_t data[14];
+  if (!readRegisters(address, reg, data, sizeof data)) return false;
+  for (uint8_t i = 0; i < 3; i++) {
+    sample->accel[i] = bigEndian(data + 2 * i);
+    sample->gyro[i] = bigEndian(data + rateAt + 2 * i);
+  }
+  sample->temperature = bigEndian(data + temperatureAt);
+  return true;
+}
+
 // Starts the serial port and the bus, and waits for the sensor that answers `id` in the register `reg`.
 inline void begin(const char *name, uint8_t address, uint8_t reg, uint8_t id) {
   Serial.begin(BAUD);

@@ -103,13 +103,7 @@ def read_dataflash(path: Path) -> DeviceLog:
         raise RecordingError(
             f"{path.name}: this log of ArduPilot holds no messages IMU, ACC and GYR. Let LOG_BITMASK include IMU."
         )
-    return DeviceLog(
-        accelerometer=triads.get("accelerometer"),
-        gyroscope=triads.get("gyroscope"),
-        magnetometer=triads.get("magnetometer"),
-        sources=(file_source(path),),
-        notes=tuple(notes),
-    )
+    return DeviceLog(**triads, sources=(file_source(path),), notes=tuple(notes))
 
 
 def _binary(data: bytes) -> tuple[dict[str, _Messages], int]:

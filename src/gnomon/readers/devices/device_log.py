@@ -22,9 +22,9 @@ class DeviceLog:
     notes : what was assumed
     """
 
-    accelerometer: StampedTriad | None
-    gyroscope: StampedTriad | None
-    magnetometer: StampedTriad | None
+    accelerometer: StampedTriad | None = None
+    gyroscope: StampedTriad | None = None
+    magnetometer: StampedTriad | None = None
     sources: tuple[Source, ...]
     notes: tuple[str, ...]
 

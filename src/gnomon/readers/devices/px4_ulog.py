@@ -74,13 +74,7 @@ def read_ulog(path: Path) -> DeviceLog:
             f"{', '.join(sorted({topic.name for topic in log.topics.values()}))[:300] or 'no data'}. Log them "
             "(SDLOG_PROFILE)."
         )
-    return DeviceLog(
-        accelerometer=triads.get("accelerometer"),
-        gyroscope=triads.get("gyroscope"),
-        magnetometer=triads.get("magnetometer"),
-        sources=(file_source(path),),
-        notes=tuple(notes),
-    )
+    return DeviceLog(**triads, sources=(file_source(path),), notes=tuple(notes))
 
 
 def _rate_hz(t_ns: Integers) -> float:

@@ -3,6 +3,7 @@
 import gzip
 import io
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -242,15 +243,15 @@ def _text_stream(path: Path) -> Generator[_Bytes]:
             yield stream
 
 
-class _Pieces:
+class _Pieces(ABC):
     """Bytes that come in pieces of any length, read in any other."""
 
     def __init__(self) -> None:
         self._left = b""
 
+    @abstractmethod
     def _piece(self, size: int) -> bytes:
         """Return some bytes more, made of about so many, none at the end."""
-        raise NotImplementedError
 
     def read(self, size: int, /) -> bytes:
         while len(self._left) < size and (piece := self._piece(size)):

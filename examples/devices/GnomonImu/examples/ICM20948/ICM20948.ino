@@ -27,13 +27,7 @@ void setup() {
 void loop() {
   if (!(gnomon::readRegister(ADDRESS, 0x1A) & 0x01)) return;  // INT_STATUS_1: data ready
   const unsigned long stamp_us = micros();
-  uint8_t data[14];
-  if (!gnomon::readRegisters(ADDRESS, 0x2D, data, sizeof data)) return;  // acceleration, rate, temperature
   gnomon::Sample sample;
-  for (uint8_t i = 0; i < 3; i++) {
-    sample.accel[i] = gnomon::bigEndian(data + 2 * i);
-    sample.gyro[i] = gnomon::bigEndian(data + 6 + 2 * i);
-  }
-  sample.temperature = gnomon::bigEndian(data + 12);
+  if (!gnomon::readSample(ADDRESS, 0x2D, 6, 12, &sample)) return;  // acceleration, rate, temperature
   gnomon::send(stamp_us, sample, FORCE, RATE, sample.temperature / 333.87f + 21);
 }

@@ -20,13 +20,7 @@ void setup() {
 void loop() {
   if (!(gnomon::readRegister(ADDRESS, 0x3A) & 0x01)) return;  // INT_STATUS: data ready
   const unsigned long stamp_us = micros();
-  uint8_t data[14];
-  if (!gnomon::readRegisters(ADDRESS, 0x3B, data, sizeof data)) return;  // acceleration, temperature, rate
   gnomon::Sample sample;
-  for (uint8_t i = 0; i < 3; i++) {
-    sample.accel[i] = gnomon::bigEndian(data + 2 * i);
-    sample.gyro[i] = gnomon::bigEndian(data + 8 + 2 * i);
-  }
-  sample.temperature = gnomon::bigEndian(data + 6);
+  if (!gnomon::readSample(ADDRESS, 0x3B, 8, 6, &sample)) return;  // acceleration, temperature, rate
   gnomon::send(stamp_us, sample, FORCE, RATE, sample.temperature / 340.0f + 36.53f);
 }
