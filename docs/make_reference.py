@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import gnomon
-from gnomon.cli.commands import COMMANDS
+from gnomon.cli.catalogue import COMMANDS
 from gnomon.cli.parsing.arguments import Entry
 from gnomon.cli.parsing.help import describe_command
 from gnomon.findings import read_catalogue

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.commands import COMMANDS
+from gnomon.cli.catalogue import COMMANDS
 from gnomon.kernel import describe_kernel
 from repeatable import to_the_last_digit
 
@@ -242,7 +242,7 @@ def test_an_unexpected_error_is_short_unless_asked_for(monkeypatch, run):
     def broken(*_arguments, **_keywords):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("gnomon.cli.show.Show.run", broken)
+    monkeypatch.setattr("gnomon.cli.commands.show.Show.run", broken)
     monkeypatch.delenv("GNOMON_DEBUG", raising=False)
     code, _, err = run("show", "x")
     assert code == 1

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable_text
-from .commands import parse_command
+from .catalogue import parse_command
 from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal
 

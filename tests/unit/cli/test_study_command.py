@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.study import STUDIES, StudyEntry, StudyFunctions, tell_stage
+from gnomon.cli.commands.study import STUDIES, StudyEntry, StudyFunctions, tell_stage
 from gnomon.cli.terminal import Terminal
 from gnomon.progress import Step
 from gnomon.report.page import KeyNumber, render_page
@@ -75,7 +75,7 @@ def quick(monkeypatch, tmp_path):
         tables=("largest",),
         load=lambda: parts,
     )
-    monkeypatch.setattr("gnomon.cli.study.STUDIES", {"quick": entry, **STUDIES})
+    monkeypatch.setattr("gnomon.cli.commands.study.STUDIES", {"quick": entry, **STUDIES})
     monkeypatch.chdir(tmp_path)
     return made
 

@@ -16,9 +16,9 @@ import triad_result
 from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, shell_commands, text
 from gnomon.calibrate.steps import board_reading
-from gnomon.cli.commands import COMMANDS, parse_command
-from gnomon.cli.convert import RecordingForm
-from gnomon.cli.study import PAGE, STUDIES
+from gnomon.cli.catalogue import COMMANDS, parse_command
+from gnomon.cli.commands.convert import RecordingForm
+from gnomon.cli.commands.study import PAGE, STUDIES
 from gnomon.formats.conversion import FORMATS
 from gnomon.formats.kalibr import camchain
 from gnomon.formats.kalibr import target as kalibr_target

@@ -8,7 +8,7 @@ from io import StringIO
 import numpy as np
 import pytest
 
-from gnomon.cli.study import PAGE, Study
+from gnomon.cli.commands.study import PAGE, Study
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OptionError, OutputError
 from gnomon.estimate.triads.angrisano import fit_magnitudes

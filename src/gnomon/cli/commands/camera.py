@@ -4,12 +4,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from ..errors import OptionError, RecordingError
-from ..models.lens_programs import check_program, refit_models
-from ..options import CameraOptions
-from ..simulate.cameras_scenario import CamerasScenario
-from ..units import Units
-from .command import (
+from ...errors import OptionError, RecordingError
+from ...models.lens_programs import check_program, refit_models
+from ...options import CameraOptions
+from ...simulate.cameras_scenario import CamerasScenario
+from ...units import Units
+from ..command import (
     Cache,
     CamFile,
     Command,
@@ -22,15 +22,15 @@ from .command import (
     output_option,
     topics_of,
 )
-from .inputs import files_beside, refuse_overwriting
-from .output_folder import CAMERA_FILES, default_folder, result_folder
-from .parsing.arguments import Argument
-from .results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
-from .simulated import OF_IMUS, check_form, folder_document, print_folder, replaces_simulated
-from .terminal import Terminal
+from ..inputs import files_beside, refuse_overwriting
+from ..output_folder import CAMERA_FILES, default_folder, result_folder
+from ..parsing.arguments import Argument
+from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
+from ..simulated import OF_IMUS, check_form, folder_document, print_folder, replaces_simulated
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..results.result import Result
+    from ...results.result import Result
 
 
 ImagesAs = Literal["folder", "euroc", "ros1", "ros2", "mcap"]
@@ -97,10 +97,10 @@ class CameraCommand(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate.cameras import calibrate_cameras
-        from ..calibrate.steps.camera_reading import read_camera_views
-        from ..formats.kalibr.cam_results import save_camera_files
-        from ..readers.images.image_recording import recording_holds_imu
+        from ...calibrate.cameras import calibrate_cameras
+        from ...calibrate.steps.camera_reading import read_camera_views
+        from ...formats.kalibr.cam_results import save_camera_files
+        from ...readers.images.image_recording import recording_holds_imu
 
         folder = self.output or default_folder((self.recording,), "camera")
         if not self.recording.exists():
@@ -143,7 +143,7 @@ class CameraCommand(Command):
 
 
 def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
-    from .camera_summary import baseline_lines, cameras_lines, parameter_table, trial_table
+    from ..camera_summary import baseline_lines, cameras_lines, parameter_table, trial_table
 
     calibration = result.calibration
     print_summary(calibration, cameras_lines(result), terminal)
@@ -156,8 +156,8 @@ def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
 
 
 def _lenses(result: "Result") -> dict[str, Any]:
-    from ..results.camera_diagnostics import CamerasDiagnostics
-    from .camera_summary import programs_reading
+    from ...results.camera_diagnostics import CamerasDiagnostics
+    from ..camera_summary import programs_reading
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, CamerasDiagnostics)
@@ -197,9 +197,9 @@ class SimulateCameras(FromScenario):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, write its folder, and return the exit code."""
-        from ..simulate.cameras import simulate_cameras
-        from ..writers.camera_imu_recording import CAMERA_FILES
-        from ..writers.cameras_recording import CAMERAS_FILES, save_cameras_recording
+        from ...simulate.cameras import simulate_cameras
+        from ...writers.camera_imu_recording import CAMERA_FILES
+        from ...writers.cameras_recording import CAMERAS_FILES, save_cameras_recording
 
         folder = self.output
         replaced = replaces_simulated(folder, _NOT_OURS)

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ..errors import OptionError
-from .command import (
+from ...errors import OptionError
+from ..command import (
     Command,
     output_option,
 )
-from .parsing.arguments import Argument
-from .results import (
+from ..parsing.arguments import Argument
+from ..results import (
     USABLE,
 )
-from .terminal import Terminal
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..models.target import Target
+    from ...models.target import Target
 
 
 KINDS = ("aprilgrid", "checkerboard", "circlegrid", "charuco")
@@ -112,8 +112,8 @@ class PrintTarget(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the drawings of a board and say where."""
-        from ..writers.board_sheet import largest_on
-        from ..writers.printed_board import save_target
+        from ...writers.board_sheet import largest_on
+        from ...writers.printed_board import save_target
 
         board, paper = _board(self), self.paper or ""
         if self.board in KINDS and self.size is None:
@@ -174,7 +174,7 @@ def _default(command: PrintTarget, board: "Target") -> Path:
 
 def _board(command: PrintTarget) -> "Target":
     """Return the board that is asked for; of any size where none is stated."""
-    from ..models.target import Target
+    from ...models.target import Target
 
     if command.board not in KINDS:
         return _described(command.board)
@@ -197,7 +197,7 @@ def _board(command: PrintTarget) -> "Target":
         case "circlegrid":
             return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=command.asymmetric)
         case _:
-            from ..formats.kalibr.target import dictionary_name
+            from ...formats.kalibr.target import dictionary_name
 
             return Target.charuco(
                 cols=cols,
@@ -215,7 +215,7 @@ def _stated(value: Any, usual: Any) -> Any:
 
 
 def _described(name: str) -> "Target":
-    from ..formats.kalibr.target import read_target
+    from ...formats.kalibr.target import read_target
 
     if not Path(name).exists():
         raise OptionError(f"{name}: there is neither such a board nor such a file. Boards are {', '.join(KINDS)}.")

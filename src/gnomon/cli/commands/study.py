@@ -7,19 +7,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
-from ..errors import OptionError
-from ..progress import as_step
-from .command import Command, Seed, output_option
-from .output_folder import result_folder
-from .parsing.arguments import Argument
-from .results import USABLE
-from .terminal import Terminal
+from ...errors import OptionError
+from ...progress import as_step
+from ..command import Command, Seed, output_option
+from ..output_folder import result_folder
+from ..parsing.arguments import Argument
+from ..results import USABLE
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..report.page import ReportPage
-    from ..study.journal import FileJournal
-    from ..study.runs import Progress, Workers
-    from ..study.tables import Claim, StudyTable
+    from ...report.page import ReportPage
+    from ...study.journal import FileJournal
+    from ...study.runs import Progress, Workers
+    from ...study.tables import Claim, StudyTable
 
 
 class Found(Protocol):
@@ -85,8 +85,8 @@ class StudyEntry:
 
 
 def _angrisano() -> StudyFunctions:
-    from ..report.studies.angrisano import angrisano_page
-    from ..study.angrisano import angrisano_claims, angrisano_tables, study_angrisano
+    from ...report.studies.angrisano import angrisano_page
+    from ...study.angrisano import angrisano_claims, angrisano_tables, study_angrisano
 
     return StudyFunctions(
         carry_out=study_angrisano, claims=angrisano_claims, tables=angrisano_tables, page=angrisano_page
@@ -94,17 +94,17 @@ def _angrisano() -> StudyFunctions:
 
 
 def _krebs() -> StudyFunctions:
-    from ..report.studies.krebs import krebs_page
-    from ..study.krebs import study_krebs
-    from ..study.krebs_claims import krebs_claims, krebs_tables
+    from ...report.studies.krebs import krebs_page
+    from ...study.krebs import study_krebs
+    from ...study.krebs_claims import krebs_claims, krebs_tables
 
     return StudyFunctions(carry_out=study_krebs, claims=krebs_claims, tables=krebs_tables, page=krebs_page)
 
 
 def _tedaldi() -> StudyFunctions:
-    from ..report.studies.tedaldi import tedaldi_page
-    from ..study.tedaldi import study_tedaldi
-    from ..study.tedaldi_claims import tedaldi_claims, tedaldi_tables
+    from ...report.studies.tedaldi import tedaldi_page
+    from ...study.tedaldi import study_tedaldi
+    from ...study.tedaldi_claims import tedaldi_claims, tedaldi_tables
 
     return StudyFunctions(carry_out=study_tedaldi, claims=tedaldi_claims, tables=tedaldi_tables, page=tedaldi_page)
 
@@ -191,7 +191,7 @@ class Study(Command):
 
         A claim that does not hold is a result like any other: the exit code is that of work which was finished.
         """
-        from ..study.journal import study_journal
+        from ...study.journal import study_journal
 
         if self.name is None:
             return _list_studies(terminal)
@@ -221,7 +221,7 @@ class Study(Command):
 def _carried_out(
     command: Study, parts: StudyFunctions, entry: StudyEntry, journal: "FileJournal", terminal: Terminal
 ) -> Found:
-    from ..study.runs import Workers
+    from ...study.runs import Workers
 
     try:
         return parts.carry_out(
@@ -246,8 +246,8 @@ def tell_stage(terminal: Terminal, stages: tuple[str, ...], sentence: str) -> No
 
 def _write(found: Found, parts: StudyFunctions, staging: Path, terminal: Terminal) -> list[str]:
     """Write tables and page, and return the names of the files."""
-    from ..output import write_whole
-    from ..report.page import render_page
+    from ...output import write_whole
+    from ...report.page import render_page
 
     contents: dict[str, str | bytes] = {f"{table.name}.csv": table.csv() for table in parts.tables(found)}
     terminal.progress("drawing the page")

@@ -4,14 +4,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-from ..options import MagnetometerOptions
-from ..simulate import FieldScenario
-from .command import Command, Flat, ForUse, Input, Report, Seed, output_option
-from .inputs import judged_result, read_priors, read_use_option, result_with_reading
-from .output_folder import default_folder, result_folder
-from .results import print_assumptions, print_result, write_result
-from .simulated import write_simulated
-from .terminal import Terminal
+from ...options import MagnetometerOptions
+from ...simulate import FieldScenario
+from ..command import Command, Flat, ForUse, Input, Report, Seed, output_option
+from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
+from ..output_folder import default_folder, result_folder
+from ..results import print_assumptions, print_result, write_result
+from ..simulated import write_simulated
+from ..terminal import Terminal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +37,9 @@ class Magnetometer(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate.magnetometer import calibrate_magnetometer
-        from ..readers.recordings import read
-        from .summary import magnetometer_lines
+        from ...calibrate.magnetometer import calibrate_magnetometer
+        from ...readers.recordings import read
+        from ..summary import magnetometer_lines
 
         source = self.recording
         folder = self.output or default_folder(source.paths, "magnetometer")
@@ -74,6 +74,6 @@ class SimulateMagnetometer(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, write it and its truth, and return the exit code."""
-        from ..simulate import simulate_magnetometer as simulated
+        from ...simulate import simulate_magnetometer as simulated
 
         return write_simulated(*simulated(self.scenario, self.seed), self.output, terminal, then="magnetometer")

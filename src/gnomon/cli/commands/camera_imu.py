@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from ..errors import OptionError, RecordingError
-from ..options import CameraImuOptions
-from ..simulate import CameraImuScenario
-from ..units import Units
-from .camera import NO_TARGET, ImagesAs
-from .command import (
+from ...errors import OptionError, RecordingError
+from ...options import CameraImuOptions
+from ...simulate import CameraImuScenario
+from ...units import Units
+from ..command import (
     Cache,
     CamFile,
     Command,
@@ -25,15 +24,16 @@ from .command import (
     output_option,
     topics_of,
 )
-from .inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting
-from .output_folder import CAMERA_IMU_FILES, default_folder, result_folder
-from .parsing.arguments import Argument
-from .results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
-from .simulated import check_form, folder_document, print_folder, replaces_simulated
-from .terminal import Terminal
+from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting
+from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
+from ..parsing.arguments import Argument
+from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
+from ..simulated import check_form, folder_document, print_folder, replaces_simulated
+from ..terminal import Terminal
+from .camera import NO_TARGET, ImagesAs
 
 if TYPE_CHECKING:
-    from ..results.result import Result
+    from ...results.result import Result
 
 
 _NO_CAM = (
@@ -100,7 +100,7 @@ class CameraImu(Command):
         OptionError
             If a file that is needed was not named, and is not in the recording's folder.
         """
-        from ..readers.images.image_recording import tells_no_lens
+        from ...readers.images.image_recording import tells_no_lens
 
         place = self.recording
         if not place.exists():
@@ -117,9 +117,9 @@ class CameraImu(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate import calibrate_camera_imu, read_camera_imu
-        from ..writers.camera_imu_files import save_camera_imu_files
-        from .camera_summary import programs_reading
+        from ...calibrate import calibrate_camera_imu, read_camera_imu
+        from ...writers.camera_imu_files import save_camera_imu_files
+        from ..camera_summary import programs_reading
 
         folder = self.output or default_folder((self.recording,), "camera-imu")
         known, use = read_priors(self.options.prior), read_use_option(self.use)
@@ -163,8 +163,8 @@ class CameraImu(Command):
 
 
 def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
-    from .camera_summary import camera_imu_lines, camera_pose_lines, imu_pose_lines
-    from .summary import parameter_lines
+    from ..camera_summary import camera_imu_lines, camera_pose_lines, imu_pose_lines
+    from ..summary import parameter_lines
 
     print_summary(result.calibration, camera_imu_lines(result), terminal)
     poses = (*camera_pose_lines(result.calibration), *imu_pose_lines(result.calibration))
@@ -175,7 +175,7 @@ def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
 
 
 def _findings_of_the_solution(result: "Result") -> dict[str, Any]:
-    from ..results.camera_diagnostics import CameraImuDiagnostics
+    from ...results.camera_diagnostics import CameraImuDiagnostics
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, CameraImuDiagnostics)
@@ -212,9 +212,9 @@ class SimulateCameraImu(FromScenario):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, write its folder, and return the exit code."""
-        from ..simulate import simulate_camera_imu
-        from ..writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
-        from ..writers.cameras_recording import CAMERAS_FILES
+        from ...simulate import simulate_camera_imu
+        from ...writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
+        from ...writers.cameras_recording import CAMERAS_FILES
 
         folder = self.output
         replaced = replaces_simulated(folder, _SIMULATED)

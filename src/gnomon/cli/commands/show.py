@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from ..errors import OptionError
-from ..units import Units
-from .command import (
+from ...errors import OptionError
+from ...units import Units
+from ..command import (
     CalibrationPath,
     Command,
     Flat,
@@ -17,17 +17,17 @@ from .command import (
     output_option,
     use_option,
 )
-from .inputs import remembered_reading
-from .results import (
+from ..inputs import remembered_reading
+from ..results import (
     USABLE,
     calibration_document,
     print_assumptions,
     print_needs,
 )
-from .terminal import WIDTH, Terminal
+from ..terminal import WIDTH, Terminal
 
 if TYPE_CHECKING:
-    from ..writers.tables import ParameterRows
+    from ...writers.tables import ParameterRows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +55,8 @@ class Show(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Print the tables, and return the exit code."""
-        from ..formats.own.calibration_file import calibration_at, is_noise, is_own, load
-        from ..writers.tables import form_tables, summary_table
+        from ...formats.own.calibration_file import calibration_at, is_noise, is_own, load
+        from ...writers.tables import form_tables, summary_table
 
         path = Path(calibration_at(self.calibration))
         own = is_own(path)
@@ -73,12 +73,12 @@ class Show(Command):
             return show_noise(path, terminal)
         calibration = load(path)
         if self.use is not None:
-            from ..calibrate.judging import judge
+            from ...calibrate.judging import judge
 
             calibration = judge(calibration, self.use)
         print_needs(calibration, terminal)
         _print_tables((summary_table(calibration), *form_tables(calibration, self.form)), terminal)
-        from . import summary
+        from .. import summary
 
         if lines := [*summary.held_lines(calibration), *summary.finding_lines(calibration.assessment.findings)]:
             terminal.print("\n".join(lines))
@@ -87,8 +87,8 @@ class Show(Command):
 
 
 def _show_foreign(path: Path, form: str, terminal: Terminal) -> int:
-    from ..formats.foreign_files import load_foreign
-    from ..writers.foreign_tables import foreign_document, foreign_tables
+    from ...formats.foreign_files import load_foreign
+    from ...writers.foreign_tables import foreign_document, foreign_tables
 
     foreign = load_foreign(path)
     print_assumptions(foreign.notes, terminal)
@@ -128,8 +128,8 @@ class Apply(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the corrected samples of a recording, and return the exit code."""
-        from ..formats.own.calibration_file import load
-        from ..writers.apply import apply_files
+        from ...formats.own.calibration_file import load
+        from ...writers.apply import apply_files
 
         source = self.recording
         calibration = load(self.calibration)
@@ -179,7 +179,7 @@ def _chosen_imu(command: Apply, imus: tuple[str, ...]) -> str:
 
 def _tables(paths: Sequence[Path], imu: str) -> Sequence[Path]:
     """Return the tables of one IMU of a folder of several; of anything else the paths themselves."""
-    from ..readers.rig.camera_folder import folder_holds_imu, imu_files, recording_folder
+    from ...readers.rig.camera_folder import folder_holds_imu, imu_files, recording_folder
 
     if len(paths) != 1 or not paths[0].is_dir() or not folder_holds_imu(recording_folder(paths[0])):
         return paths

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..options import ImuOptions
-from ..simulate import Scenario
-from .command import (
+from ...options import ImuOptions
+from ...simulate import Scenario
+from ..command import (
     Command,
     Flat,
     ForUse,
@@ -16,8 +16,8 @@ from .command import (
     Seed,
     output_option,
 )
-from .inputs import judged_result, read_priors, read_use_option, result_with_reading
-from .output_folder import (
+from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
+from ..output_folder import (
     DEMO_RECORDING,
     RESULT_FILES,
     TRUTH,
@@ -26,12 +26,12 @@ from .output_folder import (
     joined_folder,
     result_folder,
 )
-from .results import print_assumptions, print_result, write_result
-from .simulated import write_simulated
-from .terminal import Terminal
+from ..results import print_assumptions, print_result, write_result
+from ..simulated import write_simulated
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..recording import Recording
+    from ...recording import Recording
 
 
 _DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
@@ -61,9 +61,9 @@ class Imu(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate import calibrate_imu
-        from ..readers.recordings import read_several
-        from .summary import summary_lines
+        from ...calibrate import calibrate_imu
+        from ...readers.recordings import read_several
+        from ..summary import summary_lines
 
         source = self.recording
         check_folder(self.output or default_folder(source.paths, "imu"))  # before the work
@@ -87,7 +87,7 @@ class Imu(Command):
 
 def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
     """Return what had to be assumed; of several recordings each once, with those of which it was."""
-    from ..calibrate.steps.preparation import recording_names
+    from ...calibrate.steps.preparation import recording_names
 
     if len(recordings) == 1:
         return list(recordings[0].assumptions)
@@ -116,7 +116,7 @@ class Simulate(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate, write recording and truth, and return the exit code."""
-        from ..simulate import simulate
+        from ...simulate import simulate
 
         return write_simulated(*simulate(self.scenario, self.seed), self.output, terminal, then="imu")
 
@@ -137,12 +137,12 @@ class Demo(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""
-        from ..calibrate import calibrate_imu
-        from ..formats.own.calibration_text import save
-        from ..readers.recordings import read
-        from ..simulate import simulate
-        from ..writers.recording_file import save_recording
-        from .summary import comparison_document, comparison_sentence, comparison_table, summary_lines
+        from ...calibrate import calibrate_imu
+        from ...formats.own.calibration_text import save
+        from ...readers.recordings import read
+        from ...simulate import simulate
+        from ...writers.recording_file import save_recording
+        from ..summary import comparison_document, comparison_sentence, comparison_table, summary_lines
 
         with result_folder(self.output, "demo", own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
             terminal.progress("simulating a recording")

@@ -5,16 +5,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..errors import OptionError
-from ..options import NoiseOptions
-from ..simulate.scenarios import NoiseScenario
-from .command import Command, Flat, Input, Report, Seed, output_option
-from .output_folder import NOISE_FILES, default_folder, result_folder
-from .results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
-from .terminal import Terminal
+from ...errors import OptionError
+from ...options import NoiseOptions
+from ...simulate.scenarios import NoiseScenario
+from ..command import Command, Flat, Input, Report, Seed, output_option
+from ..output_folder import NOISE_FILES, default_folder, result_folder
+from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..results.sensor_noise import Coefficient, SensorNoise, TriadNoise
+    from ...results.sensor_noise import Coefficient, SensorNoise, TriadNoise
 
 
 _LEGEND = """\
@@ -47,9 +47,9 @@ class Noise(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Identify the noise of an IMU, write and say it, and return the exit code."""
-        from ..calibrate.noise import identify_noise
-        from ..formats.own.noise_file import noise_document, save_noise_files
-        from ..report.noise import write_noise_report
+        from ...calibrate.noise import identify_noise
+        from ...formats.own.noise_file import noise_document, save_noise_files
+        from ...report.noise import write_noise_report
 
         source = self.recording
         folder = self.output or default_folder(source.paths, "noise")
@@ -82,7 +82,7 @@ class Noise(Command):
 
 def show_noise(path: Path, terminal: Terminal) -> int:
     """Show a noise.yaml."""
-    from ..formats.own.noise_file import load_noise, noise_document
+    from ...formats.own.noise_file import load_noise, noise_document
 
     found = load_noise(path)
     _print(found, terminal)
@@ -101,7 +101,7 @@ def _print(found: "SensorNoise", terminal: Terminal) -> None:
 
 def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
     """Yield the coefficients of a sensor, a line for each kind of noise, 80 columns wide."""
-    from ..results.sensor_noise import COEFFICIENTS, DATASHEET_UNITS, SYMBOLS, UNITS
+    from ...results.sensor_noise import COEFFICIENTS, DATASHEET_UNITS, SYMBOLS, UNITS
 
     yield f"\n{sensor:<15}{'x':<18}{'y':<18}z"
     for name in COEFFICIENTS:
@@ -115,7 +115,7 @@ def _row(found: "Sequence[Coefficient]", unit: str) -> str:
     """Return the coefficients of three axes with one power of ten, and their unit."""
     import numpy as np
 
-    from .summary import common_decimals, common_power
+    from ..summary import common_decimals, common_power
 
     values = np.array([one.most for one in found])
     sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])
@@ -147,9 +147,9 @@ class SimulateNoise(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write a recording of simulated noise, say where, and return the exit code."""
-        from ..results.sensor_noise import SENSOR_UNITS
-        from ..simulate.noise import noise_blocks
-        from ..writers.recording_file import save_blocks
+        from ...results.sensor_noise import SENSOR_UNITS
+        from ...simulate.noise import noise_blocks
+        from ...writers.recording_file import save_blocks
 
         scenario = self.scenario
         if self.output.suffix != ".npz":

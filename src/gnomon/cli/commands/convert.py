@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
-from ..errors import GnomonError, OptionError, OutputError
-from ..findings import join_names
-from ..units import Units
-from .command import Command, FileOption, Topics, output_option, topics_of
-from .output_folder import ALL_RESULT_FILES, check_folder, owner_of
-from .parsing.arguments import Argument
-from .results import USABLE, print_assumptions
-from .terminal import Terminal
+from ...errors import GnomonError, OptionError, OutputError
+from ...findings import join_names
+from ...units import Units
+from ..command import Command, FileOption, Topics, output_option, topics_of
+from ..output_folder import ALL_RESULT_FILES, check_folder, owner_of
+from ..parsing.arguments import Argument
+from ..results import USABLE, print_assumptions
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..formats.shared.losses import StatedImu
-    from ..recording.images import ImageRecording
+    from ...formats.shared.losses import StatedImu
+    from ...recording.images import ImageRecording
 
 
 CalibrationForm = Literal[
@@ -90,7 +90,7 @@ class Convert(Command):
 
 def _of_result(command: Convert) -> Convert:
     """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
-    from ..formats.own.calibration_file import calibration_at
+    from ...formats.own.calibration_file import calibration_at
 
     inside = Path(calibration_at(command.path))
     if inside == command.path or _holds_images(command.path):
@@ -99,9 +99,9 @@ def _of_result(command: Convert) -> Convert:
 
 
 def _convert_calibration(command: Convert, terminal: Terminal) -> int:
-    from ..formats.conversion import convert as write
-    from ..formats.conversion import export_texts
-    from ..formats.own.calibration_file import is_own, load
+    from ...formats.conversion import convert as write
+    from ...formats.conversion import export_texts
+    from ...formats.own.calibration_file import is_own, load
 
     _refuse_recording(command)
     if is_own(command.path):
@@ -109,7 +109,7 @@ def _convert_calibration(command: Convert, terminal: Terminal) -> int:
             raise OptionError(f"{command.paths[1]}: of gnomon's own calibrations one at a time is converted.")
         calibration, notes = load(command.path), []
     else:
-        from ..formats.foreign_files import load_foreign
+        from ...formats.foreign_files import load_foreign
 
         calibration = load_foreign(*command.paths)
         notes = list(calibration.notes)
@@ -152,7 +152,7 @@ def _spare_inputs(command: Convert, paths: list[Path]) -> None:
 
 def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str]]:
     """Return noise and rate from the file that is given, or that lies beside the calibration, and what to say of it."""
-    from ..formats.conversion import WITH_NOISE, stated_imus
+    from ...formats.conversion import WITH_NOISE, stated_imus
 
     if command.imu is not None:
         if command.to not in WITH_NOISE:
@@ -174,7 +174,7 @@ def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str
 
 
 def _convert_recording(command: Convert, terminal: Terminal) -> int:
-    from ..readers.images.image_recording import open_images
+    from ...readers.images.image_recording import open_images
 
     _refuse_calibration(command)
     output = command.output or _default_output(command)
@@ -200,7 +200,7 @@ def _convert_recording(command: Convert, terminal: Terminal) -> int:
 
 def _with_lenses(recording: "ImageRecording", path: Path) -> "ImageRecording":
     """Return the recording with the lenses of camchain.yaml in its folder, where it states none itself."""
-    from ..formats.sensor_inputs import read_cameras
+    from ...formats.sensor_inputs import read_cameras
 
     file = (path if path.is_dir() else path.parent) / "camchain.yaml"
     if not file.is_file() or all(stream.camera is not None for stream in recording.streams.values()):
@@ -218,11 +218,11 @@ def _write(recording: "ImageRecording", output: Path, form: str, terminal: Termi
     """Write the recording, and return sentences on what was left out."""
     notes: list[str] = []
     if form == "euroc":
-        from ..writers.euroc_folder import save_euroc
+        from ...writers.euroc_folder import save_euroc
 
         save_euroc(recording, output, terminal.progress, notes)
     else:
-        from ..writers.bag_recording import Form, save_bag
+        from ...writers.bag_recording import Form, save_bag
 
         save_bag(recording, output, cast("Form", form), terminal.progress, notes)
     return notes
@@ -267,7 +267,7 @@ def _refuse_calibration(command: Convert) -> None:
 
 
 def _holds_images(path: Path) -> bool:
-    from ..readers.images.image_recording import holds_images
+    from ...readers.images.image_recording import holds_images
 
     return holds_images(path)
 

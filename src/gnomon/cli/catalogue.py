@@ -1,4 +1,4 @@
-"""Arguments -> a command; each is made from the fields of a dataclass, in the file that does its work."""
+"""Arguments -> a command; each is made from the fields of a dataclass, in the file of `commands` that does its work."""
 
 import sys
 import textwrap
@@ -63,7 +63,7 @@ class _Commands(Mapping[str, type[Command]]):
 
     def __getitem__(self, name: str) -> type[Command]:
         module, _, cls = _CLASSES[name].partition(".")
-        return getattr(import_module(f".{module}", __package__), cls)
+        return getattr(import_module(f".commands.{module}", __package__), cls)
 
     def __iter__(self) -> Iterator[str]:
         return iter(_CLASSES)

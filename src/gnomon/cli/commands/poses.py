@@ -4,15 +4,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..simulate import PoseScenario
-from .command import Command, Flat, Seed, output_option
-from .output_folder import result_folder, truth_name
-from .results import USABLE
-from .terminal import Terminal
+from ...simulate import PoseScenario
+from ..command import Command, Flat, Seed, output_option
+from ..output_folder import result_folder, truth_name
+from ..results import USABLE
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..recording import Floats, Poses, Recording
-    from ..simulate.poses import PoseSimulation
+    from ...recording import Floats, Poses, Recording
+    from ...simulate.poses import PoseSimulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +34,10 @@ class SimulatePoses(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate poses, write them and their truth, and return the exit code."""
-        from ..formats.own.calibration_text import save
-        from ..simulate import simulate_poses
-        from ..writers.pose_files import save_pose_files, save_poses
-        from ..writers.recording_file import save_recording
+        from ...formats.own.calibration_text import save
+        from ...simulate import simulate_poses
+        from ...writers.pose_files import save_pose_files, save_poses
+        from ...writers.recording_file import save_recording
 
         path = self.output
         as_file = path.suffix.lower() in {".csv", ".npz"}
@@ -66,7 +66,7 @@ def pose_averages(simulation: "PoseSimulation") -> "Poses":
     """Return the means of a simulation with what a person would know of them."""
     import numpy as np
 
-    from ..recording import Poses
+    from ...recording import Poses
 
     count = simulation.scenario.samples
 
@@ -94,7 +94,7 @@ def join_poses(simulation: "PoseSimulation") -> "Recording":
     """Return the samples of all poses as one recording, without what happened between them."""
     import numpy as np
 
-    from ..recording import ImuSamples, Recording, TriadSamples
+    from ...recording import ImuSamples, Recording, TriadSamples
 
     def triad(quantity: str) -> TriadSamples:
         parts = [getattr(samples, quantity) for samples in simulation.poses]

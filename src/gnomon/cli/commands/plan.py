@@ -4,14 +4,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..simulate.plans import CameraImuPlan, ImuPlan
-from .command import CamFile, Command, FileOption, Flat, PlannedUse
-from .inputs import read_use_option
-from .results import UNUSABLE, USABLE, print_assumptions, print_findings
-from .terminal import Terminal
+from ...simulate.plans import CameraImuPlan, ImuPlan
+from ..command import CamFile, Command, FileOption, Flat, PlannedUse
+from ..inputs import read_use_option
+from ..results import UNUSABLE, USABLE, print_assumptions, print_findings
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..calibrate.planning import PlanResult
+    from ...calibrate.planning import PlanResult
 
 
 _VERDICTS = {
@@ -71,8 +71,8 @@ class PlanImu(Command):
 
 def _plan(command: Plan | PlanImu, terminal: Terminal) -> int:
     """Predict a recording, say what it would tell and what would help, and return the exit code."""
-    from ..calibrate.planning import plan as predicted
-    from ..calibrate.planning import read_hardware
+    from ...calibrate.planning import plan as predicted
+    from ...calibrate.planning import read_hardware
 
     use = read_use_option(command.use)
     if isinstance(command, Plan):
@@ -89,8 +89,8 @@ def _plan(command: Plan | PlanImu, terminal: Terminal) -> int:
 
 
 def _print(result: "PlanResult", terminal: Terminal) -> None:
-    from ..assess.needs import achieved_quantities, number_words
-    from ..options.requirements import QUANTITIES
+    from ...assess.needs import achieved_quantities, number_words
+    from ...options.requirements import QUANTITIES
 
     calibration = result.calibration
     use = calibration.assessment.trust.use
@@ -114,7 +114,7 @@ def _print(result: "PlanResult", terminal: Terminal) -> None:
 
 
 def _document(result: "PlanResult") -> dict[str, Any]:
-    from ..results.calibration import calibration_parameters
+    from ...results.calibration import calibration_parameters
 
     calibration = result.calibration
     return {

@@ -6,15 +6,15 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..errors import OptionError
-from .command import Command, output_option
-from .output_folder import default_folder, owner_of, result_folder
-from .parsing.arguments import Argument
-from .results import UNUSABLE, USABLE, print_findings, result_files
-from .terminal import Terminal, json_value
+from ...errors import OptionError
+from ..command import Command, output_option
+from ..output_folder import default_folder, owner_of, result_folder
+from ..parsing.arguments import Argument
+from ..results import UNUSABLE, USABLE, print_findings, result_files
+from ..terminal import Terminal, json_value
 
 if TYPE_CHECKING:
-    from ..assess.comparison.comparison import Comparison, Repeatability
+    from ...assess.comparison.comparison import Comparison, Repeatability
 
 
 PAGE, TABLE = "report.html", "comparison.csv"
@@ -52,8 +52,8 @@ class Compare(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Compare calibrations, and return the exit code."""
-        from ..calibrate.comparison import compare as compare_calibrations
-        from ..formats.foreign_files import source_names
+        from ...calibrate.comparison import compare as compare_calibrations
+        from ...formats.foreign_files import source_names
 
         sources = sources_of(self.calibrations)
         guessed = source_names([paths for _, paths in sources])
@@ -104,9 +104,9 @@ def _place(path: Path) -> Path:
 
 
 def _write(found: "Comparison", folder: Path, terminal: Terminal) -> None:
-    from ..output import write_whole
-    from ..report.comparison import write_comparison_report
-    from ..writers.tables import comparison_csv
+    from ...output import write_whole
+    from ...report.comparison import write_comparison_report
+    from ...writers.tables import comparison_csv
 
     with result_folder(folder, "compare", own=(PAGE, TABLE)) as staging:
         terminal.progress("drawing the report")
@@ -132,7 +132,7 @@ def _print(found: "Comparison", terminal: Terminal) -> None:
 
 def _lines(found: "Comparison") -> Iterator[str]:
     """Yield a table of the blocks, whose columns are as wide as they must be."""
-    from ..assess.comparison.comparison_words import block_words
+    from ...assess.comparison.comparison_words import block_words
 
     two = len(found.calibrations) == 2
     rows = [("", "differ" if two else "scatter", "sigma", "", "z rms", "max |z|")]
@@ -150,7 +150,7 @@ def _lines(found: "Comparison") -> Iterator[str]:
 
 def _sizes(found: "Comparison", block: "Repeatability") -> tuple[str, str, str]:
     """Return how far a block scatters, or two differ, its sigma, and the unit; root mean squares over its scalars."""
-    from ..assess.comparison.comparison_words import typical_size
+    from ...assess.comparison.comparison_words import typical_size
 
     numbers = block.scatter, block.predicted
     pair = [item for item in found.differences if item.path == block.path]

@@ -6,25 +6,25 @@ from math import degrees, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..errors import OptionError
-from ..options import TurntableOptions
-from ..simulate.platter_scenario import PlatterScenario
-from ..simulate.scenarios import TurntableScenario
-from ..units import Units, parse_rate
-from .command import Command, Flat, ForUse, Report, Seed, output_option
-from .inputs import judged_result, read_priors, read_use_option, result_with_reading
-from .output_folder import default_folder, result_folder, truth_name
-from .parsing.arguments import Argument
-from .results import USABLE, print_assumptions, print_result, write_result
-from .terminal import Terminal
+from ...errors import OptionError
+from ...options import TurntableOptions
+from ...simulate.platter_scenario import PlatterScenario
+from ...simulate.scenarios import TurntableScenario
+from ...units import Units, parse_rate
+from ..command import Command, Flat, ForUse, Report, Seed, output_option
+from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
+from ..output_folder import default_folder, result_folder, truth_name
+from ..parsing.arguments import Argument
+from ..results import USABLE, print_assumptions, print_result, write_result
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..detect.platter.rate import PlatterRate
-    from ..findings import Finding
-    from ..options import StatedRate
-    from ..recording import Recording
-    from ..results.result import Result
-    from ..results.triad_diagnostics import PeriodCurve
+    from ...detect.platter.rate import PlatterRate
+    from ...findings import Finding
+    from ...options import StatedRate
+    from ...recording import Recording
+    from ...results.result import Result
+    from ...results.triad_diagnostics import PeriodCurve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +69,8 @@ class Turntable(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate.turntable import calibrate_turntable
-        from ..readers.samples.turntable_files import read_turntable, turntable_files
+        from ...calibrate.turntable import calibrate_turntable
+        from ...readers.samples.turntable_files import read_turntable, turntable_files
 
         groups = turntable_files(self.recordings)
         folder = self.output or default_folder(self.recordings[:1], "turntable")
@@ -140,15 +140,15 @@ def _rates(
 
 def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRate, PlatterRate | None]":
     """Return a speed as stated, or as a video shows it with what else it showed."""
-    from ..options import StatedRate
-    from ..units import parse_rate
+    from ...options import StatedRate
+    from ...units import parse_rate
 
     path = Path(text)
     if not path.exists():
         value = parse_rate(text)
         stated = command.options.rate_sigma
         return StatedRate(name=text, rate_rad_s=value, sigma_rad_s=nan if stated is None else stated * value), None
-    from ..calibrate.platter_rate import rate_from_video
+    from ...calibrate.platter_rate import rate_from_video
 
     terminal.progress(f"watching {path.name}")
     seen = rate_from_video(path, progress=terminal.progress)
@@ -159,7 +159,7 @@ def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRat
 
 
 def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
-    from ..results.triad_diagnostics import PeriodCurve
+    from ...results.triad_diagnostics import PeriodCurve
 
     return PeriodCurve(
         name=name,
@@ -172,8 +172,8 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
 
 def _summary_lines(result: "Result") -> Iterator[str]:
     """Yield lines on what the calibration rests on, and the speeds."""
-    from ..results.triad_diagnostics import TriadDiagnostics
-    from . import summary
+    from ...results.triad_diagnostics import TriadDiagnostics
+    from .. import summary
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, TriadDiagnostics)
@@ -203,9 +203,9 @@ class SimulateTurntable(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate recordings, write their folder, and return the exit code."""
-        from ..formats.own.calibration_text import save
-        from ..simulate.turntable import simulate_turntable
-        from ..writers.recording_file import save_recording
+        from ...formats.own.calibration_text import save
+        from ...simulate.turntable import simulate_turntable
+        from ...writers.recording_file import save_recording
 
         scenario, folder = self.scenario, self.output
         with result_folder(folder, own=()) as staging:
@@ -237,9 +237,9 @@ class SimulateTurntable(Command):
 
 def _save_videos(command: SimulateTurntable, rates: Sequence[float], staging: Path, terminal: Terminal) -> list[str]:
     """Write a video of the platter at each speed, and return the names of the files."""
-    from ..simulate.images.platter_video import simulate_platter_video
-    from ..simulate.platter_scenario import PlatterScenario
-    from ..writers.video import save_video
+    from ...simulate.images.platter_video import simulate_platter_video
+    from ...simulate.platter_scenario import PlatterScenario
+    from ...writers.video import save_video
 
     names: list[str] = []
     for rpm, rate in zip(command.scenario.rpm, rates, strict=True):
@@ -280,8 +280,8 @@ class Rate(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Measure the rate of a platter, say it, and return the exit code."""
-        from ..calibrate.platter_rate import rate_from_video
-        from . import summary
+        from ...calibrate.platter_rate import rate_from_video
+        from .. import summary
 
         found = rate_from_video(self.video, self.nominal_rad_s, terminal.progress)
         value, sigma, turns_hz = found.rate_rad_s, found.sigma_rad_s, found.rate_rad_s / (2 * pi)
@@ -305,7 +305,7 @@ class Rate(Command):
 def _with_sigma(value: float, sigma: float) -> str:
     import numpy as np
 
-    from .summary import common_decimals
+    from ..summary import common_decimals
 
     decimals = common_decimals(np.array([sigma]))
     return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
@@ -349,8 +349,8 @@ class SimulatePlatterVideo(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Draw and write a video, say its true rate, and return the exit code."""
-        from ..simulate.images.platter_video import simulate_platter_video as simulated
-        from ..writers.video import save_video
+        from ...simulate.images.platter_video import simulate_platter_video as simulated
+        from ...writers.video import save_video
 
         terminal.progress("drawing the frames")
         video = simulated(self.scenario, self.seed)

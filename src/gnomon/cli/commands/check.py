@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..errors import OptionError
-from .command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Topics, topics_of
-from .inputs import files_beside
-from .results import UNUSABLE, USABLE, print_assumptions
-from .terminal import Terminal
+from ...errors import OptionError
+from ..command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Topics, topics_of
+from ..inputs import files_beside
+from ..results import UNUSABLE, USABLE, print_assumptions
+from ..terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..assess.checks.rig_doctor import RigSummary
-    from ..findings import Finding
-    from ..recording import ImuSamples, Integers, Recording, TriadSamples
-    from ..recording.images import ImageRecording
+    from ...assess.checks.rig_doctor import RigSummary
+    from ...findings import Finding
+    from ...recording import ImuSamples, Integers, Recording, TriadSamples
+    from ...recording.images import ImageRecording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +49,8 @@ class Check(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Look at a recording, say what was found, and return the exit code."""
-        from ..readers.images.image_recording import holds_images
-        from ..readers.rig.camera_folder import holds_corners
+        from ...readers.images.image_recording import holds_images
+        from ...readers.rig.camera_folder import holds_corners
 
         path = self.recording.path
         folder = path / "mav0" if (path / "mav0").is_dir() else path
@@ -69,18 +69,18 @@ class Check(Command):
 
 
 def _is_bag_of_imu(path: Path) -> bool:
-    from ..readers.devices.bag_log import is_imu_bag
+    from ...readers.devices.bag_log import is_imu_bag
 
     if not is_imu_bag(path):
         return False
-    from ..readers.bags.bag import bag_holds_only_imu
+    from ...readers.bags.bag import bag_holds_only_imu
 
     return bag_holds_only_imu(path)
 
 
 def _check_imu(command: Check, terminal: Terminal) -> int:
-    from ..assess.checks.doctor import check, check_magnetometers
-    from ..readers.recordings import read
+    from ...assess.checks.doctor import check, check_magnetometers
+    from ...readers.recordings import read
 
     source = command.recording
     recording = read(*source.paths, **source.table)
@@ -95,8 +95,8 @@ def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 
 def _check_corners(command: Check, terminal: Terminal) -> int:
-    from ..calibrate import read_camera_imu, read_camera_views
-    from ..readers.rig.camera_folder import folder_holds_imu, recording_folder
+    from ...calibrate import read_camera_imu, read_camera_views
+    from ...readers.rig.camera_folder import folder_holds_imu, recording_folder
 
     files, taken = _files(command)
     if files["cam"] is None or files["target"] is None:
@@ -106,7 +106,7 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
         recording, target = read_camera_imu(path, **files, units=units)
     else:
         recording, target = read_camera_views(path, cam=files["cam"], target=files["target"], units=units)
-    from ..assess.checks.rig_doctor import check_corners
+    from ...assess.checks.rig_doctor import check_corners
 
     findings = check_corners(recording, target)
     return _print_check(
@@ -115,8 +115,8 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
 
 
 def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[str, ...], terminal: Terminal) -> int:
-    from ..assess.checks.rig_doctor import check_imus, check_stamps_together
-    from ..readers.rig.corner_frames import read_corner_stamps
+    from ...assess.checks.rig_doctor import check_imus, check_stamps_together
+    from ...readers.rig.corner_frames import read_corner_stamps
 
     found = read_corner_stamps(command.recording.path, command.recording.units)
     findings = [*check_imus(found.imus), *check_stamps_together(found.frames, found.imus, {})]
@@ -135,10 +135,10 @@ def _corner_entries(recording: "Recording") -> dict[str, dict[str, Any]]:
 
 
 def _check_images(command: Check, terminal: Terminal) -> int:
-    from ..assess.checks.rig_doctor import check_rig
-    from ..formats.kalibr.target import read_target
-    from ..formats.sensor_inputs import read_cameras, read_imus
-    from ..readers.images.image_recording import open_images
+    from ...assess.checks.rig_doctor import check_rig
+    from ...formats.kalibr.target import read_target
+    from ...formats.sensor_inputs import read_cameras, read_imus
+    from ...readers.images.image_recording import open_images
 
     files, taken = _files(command)
     notes: list[str] = []
@@ -193,7 +193,7 @@ def _print_check(
     terminal: Terminal,
 ) -> int:
     """Print what a recording holds and what was found, and return the exit code."""
-    from .summary import finding_lines
+    from ..summary import finding_lines
 
     code = UNUSABLE if any(finding.severity == "problem" for finding in findings) else USABLE
     print_assumptions(assumptions, terminal)
