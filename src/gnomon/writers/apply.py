@@ -107,8 +107,9 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
         file.write((",".join(("t_ns", *names)) + "\n").encode())
         for t_ns, values in calibrated_blocks(calibration, stream):
             # JSON in place of repr: as exact, and five times as fast
+            stamps = orjson.dumps(t_ns, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
             rows = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
-            file.write(b"".join(b"%d,%s\n" % row for row in zip(t_ns.tolist(), rows, strict=True)))
+            file.write(b"\n".join([*map(b",".join, zip(stamps, rows, strict=True)), b""]))
             count += len(t_ns)
     return count
 
