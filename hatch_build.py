@@ -25,7 +25,7 @@ def commands() -> list[list[str]]:
     """Return what compiles the kernel, one after the other until one does."""
     source, output = str(FOLDER / "kernel.c"), str(LIBRARY)
     stated = os.environ.get("CC") or sysconfig.get_config_var("CC")
-    flags = ["-O3", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden"]
+    flags = ["-O3", "-fno-trapping-math", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden"]
     flags += shlex.split(os.environ.get("ARCHFLAGS", ""))
     found = [
         [*shlex.split(compiler), *flags, source, "-o", output, "-lm"]

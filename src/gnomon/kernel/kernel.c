@@ -1,7 +1,8 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
-   of an exposure, and what is added to the normal equations; and running sums for Allan variances. Each does what the
-   NumPy code beside its caller does (estimate/camera_imu/terms, estimate/allan), to rounding; equations and names are
-   explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
+   of an exposure, and what is added to the normal equations; running sums for Allan variances; and the fit of corners to
+   the pixels around them. Each does what the
+   NumPy code beside its caller does (estimate/camera_imu/terms, estimate/allan, detect/corners), to rounding; equations
+   and names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
 #include <math.h>
 #include <stdint.h>
@@ -20,7 +21,14 @@
 #define CLONES
 #endif
 
-#define INTERFACE 1 /* changes whenever the arguments of a function do */
+/* So that the clones of a function are made of it, too. */
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+#define INTERFACE 2 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -569,5 +577,216 @@ CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, double *x) {
         double *axis = axes[i], slope = sum[i] / (double)n;
         for (int64_t k = 0; k < n; k++) axis[k] -= slope * (double)k;
         axis[n] = 0.0;
+    }
+}
+
+/* fits of corners (detect/corners/corner_fit.py), in single precision pixel by pixel, as there */
+
+#define CORNER 9    /* parameters of a corner: place, angles, blurs, correlation, mean and half difference of the greys */
+#define PIXELS 512  /* of a window, at most, a multiple of EACH */
+#define EACH 8      /* numbers that a processor adds at once */
+
+typedef struct {
+    double converged[6], longest[7], blur[2], correlation, noise, blurs_alike, correlation_known, hopeless, damping;
+    double iterations, soon, saturated;
+} CornerRules;
+
+typedef struct {
+    float of[CORNER + 1][PIXELS], along[2][PIXELS]; /* derivatives and residuals, distances along both edges [px] */
+} CornerColumns;
+
+INLINE float exponential(float x) { /* of -30 ... 0, to 1e-7 */
+    const float t = 1.44269504f * x;
+    const int32_t whole = (int32_t)(t - 0.5f);
+    const float r = 0.693147181f * (t - (float)whole);
+    union { int32_t bits; float value; } power = {(whole + 127) << 23};
+    return power.value *
+           (1 + r * (1 + r * (0.5f + r * (1 / 6.0f + r * (1 / 24.0f + r * (1 / 120.0f + r * (1 / 720.0f)))))));
+}
+
+/* 2 Phi(a) - 1, to 2.5e-5 (Abramowitz and Stegun 7.1.25), and phi(a). */
+INLINE float normal_distribution(float a, float *phi) {
+    const float square = a * a, e = exponential(-0.5f * (square < 60.0f ? square : 60.0f));
+    const float t = 1 / (1 + fabsf(a) * (float)(0.47047 / 1.4142135623730951));
+    *phi = e * 0.39894228f;
+    return copysignf(1 - ((t * 0.7478556f - 0.0958798f) * t + 0.3480242f) * t * e, a);
+}
+
+INLINE void corner_columns(int64_t n, const float *value, const float *place, const float *weight,
+                                  int saturated, int tip, const double *state, CornerColumns *columns) {
+    const double cos1 = cos(state[2]), sin1 = sin(state[2]), cos2 = cos(state[3]), sin2 = sin(state[3]);
+    const double u = state[0], v = state[1];
+    const float x1 = (float)(cos1 / state[4]), y1 = (float)(sin1 / state[4]), z1 = (float)(-(cos1 * u + sin1 * v) / state[4]);
+    const float x2 = (float)(cos2 / state[5]), y2 = (float)(sin2 / state[5]), z2 = (float)(-(cos2 * u + sin2 * v) / state[5]);
+    const float s1 = (float)sin1, c1 = (float)cos1, w1 = (float)(cos1 * v - sin1 * u);
+    const float s2 = (float)sin2, c2 = (float)cos2, w2 = (float)(cos2 * v - sin2 * u);
+    const float by1 = (float)(1 / state[4]), by2 = (float)(1 / state[5]);
+    const float rho = (float)state[6], middle = (float)state[7], amplitude = (float)state[8];
+    const float factor = tip ? 2 : 4, half = tip ? 0.5f : 1, shift = tip ? 0.5f : 0, most = saturated ? 255.0f : INFINITY;
+    const float least = saturated ? 0.0f : -INFINITY;
+    const int64_t padded = (n + EACH - 1) / EACH * EACH;
+    float (*of)[PIXELS] = columns->of;
+    for (int64_t i = 0; i < n; i++) {
+        const float x = place[i], y = place[n + i], a1 = x1 * x + y1 * y + z1, a2 = x2 * x + y2 * y + z2;
+        const float along1 = s1 * x - c1 * y + w1, along2 = s2 * x - c2 * y + w2;
+        float phi1, phi2;
+        const float dark1 = shift + half * normal_distribution(a1, &phi1);
+        const float dark2 = shift + half * normal_distribution(a2, &phi2);
+        const float both = factor * phi1 * phi2, product = a1 * a2 * rho, bend = rho * (1 + 0.5f * product);
+        const float picture = (1 + 2 * shift) * dark1 * dark2 - 2 * shift + both * bend;
+        const float model = middle - amplitude * picture;
+        const int beyond = ((value[i] >= most) & (model > 254.5f)) | ((value[i] <= least) & (model < 0.5f));
+        const float w = weight[i] * (float)(1 - beyond), scale = w * amplitude;
+        const float first = scale * by1 * (both * (0.5f * rho * rho * a2 - a1 * bend) + 2 * phi1 * dark2);
+        const float second = scale * by2 * (both * (0.5f * rho * rho * a1 - a2 * bend) + 2 * phi2 * dark1);
+        of[0][i] = first, of[1][i] = second;
+        of[2][i] = first * along1, of[3][i] = second * along2;
+        of[4][i] = first * a1, of[5][i] = second * a2;
+        of[6][i] = -scale * both * (product + 1);
+        of[7][i] = w, of[8][i] = -w * picture, of[9][i] = w * (value[i] - model);
+        columns->along[0][i] = along1, columns->along[1][i] = along2;
+    }
+    for (int k = 0; k <= CORNER; k++)
+        for (int64_t i = n; i < padded; i++) of[k][i] = 0.0f;
+}
+
+INLINE double dot_single(int64_t padded, const float *a, const float *b) {
+    float sums[EACH] = {0};
+    for (int64_t i = 0; i < padded; i += EACH)
+        for (int j = 0; j < EACH; j++) sums[j] += a[i + j] * b[i + j];
+    double total = 0.0;
+    for (int j = 0; j < EACH; j++) total += sums[j];
+    return total;
+}
+
+/* Solves a x = b for several sides (CORNER, k), in place of b; a is damped, and lost. */
+static void solve_damped(double a[CORNER][CORNER], double *b, int k, double damping) {
+    for (int i = 0; i < CORNER; i++) a[i][i] = a[i][i] * (1 + damping) + 1e-6;
+    for (int i = 0; i < CORNER; i++) {
+        int pivot = i;
+        for (int r = i + 1; r < CORNER; r++) pivot = fabs(a[r][i]) > fabs(a[pivot][i]) ? r : pivot;
+        for (int j = 0; j < CORNER && pivot != i; j++) {
+            const double kept = a[i][j];
+            a[i][j] = a[pivot][j], a[pivot][j] = kept;
+        }
+        for (int j = 0; j < k && pivot != i; j++) {
+            const double kept = b[i * k + j];
+            b[i * k + j] = b[pivot * k + j], b[pivot * k + j] = kept;
+        }
+        for (int r = i + 1; r < CORNER; r++) {
+            const double share = a[r][i] / a[i][i];
+            for (int j = i + 1; j < CORNER; j++) a[r][j] -= share * a[i][j];
+            for (int j = 0; j < k; j++) b[r * k + j] -= share * b[i * k + j];
+        }
+    }
+    for (int i = CORNER - 1; i >= 0; i--)
+        for (int j = 0; j < k; j++) {
+            for (int r = i + 1; r < CORNER; r++) b[i * k + j] -= a[i][r] * b[r * k + j];
+            b[i * k + j] /= a[i][i];
+        }
+}
+
+/* Moves in pixels (2, k) of offsets (2, k) along the normals of a state. */
+static void by_normals(const double *state, const double *offsets, int k, int stride, double *moves) {
+    const double cos1 = cos(state[2]), sin1 = sin(state[2]), cos2 = cos(state[3]), sin2 = sin(state[3]);
+    double sine = cos1 * sin2 - cos2 * sin1;
+    if (fabs(sine) < 1e-3) sine = copysign(1e-3, sine);
+    for (int j = 0; j < k; j++) {
+        const double first = offsets[j], second = offsets[stride + j];
+        moves[j] = (sin2 * first - sin1 * second) / sine;
+        moves[k + j] = (cos1 * second - cos2 * first) / sine;
+    }
+}
+
+static inline double clipped(double value, double low, double high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+/* What the fit makes of edges that bend, and of light that grows: moves (2, 2) each. */
+INLINE void corner_left_out(int64_t n, const float *value, const float *place, const CornerColumns *columns,
+                            const double *state, double normal[][CORNER + 1], double damping, double *bow,
+                            double *slope) {
+    static const int others = 4;
+    const int64_t padded = (n + EACH - 1) / EACH * EACH;
+    float left_out[4][PIXELS];
+    double matrix[CORNER][CORNER], sides[CORNER * 4], moves[8];
+    for (int e = 0; e < 2; e++) {
+        const float square = (float)(state[4 + e] * state[4 + e]), at = (float)state[e];
+        for (int64_t i = 0; i < n; i++) {
+            left_out[e][i] = 0.5f * (columns->of[2 + e][i] * columns->along[e][i] + columns->of[e][i] * square);
+            left_out[2 + e][i] = (place[e * n + i] - at) * columns->of[7][i] * value[i];
+        }
+    }
+    for (int j = 0; j < others; j++)
+        for (int64_t i = n; i < padded; i++) left_out[j][i] = 0.0f;
+    for (int i = 0; i < CORNER; i++) {
+        for (int j = 0; j < CORNER; j++) matrix[i][j] = normal[i][j];
+        for (int j = 0; j < others; j++) sides[i * others + j] = dot_single(padded, columns->of[i], left_out[j]);
+    }
+    solve_damped(matrix, sides, others, damping);
+    by_normals(state, sides, others, others, moves);
+    for (int r = 0; r < 2; r++)
+        for (int j = 0; j < 2; j++) bow[2 * r + j] = moves[4 * r + j], slope[2 * r + j] = moves[4 * r + 2 + j];
+}
+
+/* Moves the state (m, 9) of each active corner to where its window (m, n) is met best; see `_descend` there.
+
+   The places (m or 1, 3, n) of the pixels are those of each window, or of all. Written: covariances of the offsets
+   (m, 2, 2), variances of the residuals (m,), and moves by what is left out (m, 2, 2) each. */
+CLONES EXPORT void gnomon_descend_corners(int64_t m, int64_t n, int64_t shared, const float *values,
+                                          const float *places, const float *weights, int64_t tip,
+                                          const CornerRules *rules, const uint8_t *active, double *states,
+                                          double *covariance, double *variance, double *bow, double *slope) {
+    const int64_t padded = (n + EACH - 1) / EACH * EACH;
+    CornerColumns columns;
+    for (int64_t corner = 0; corner < m; corner++) {
+        if (!active[corner]) continue;
+        const float *value = values + corner * n, *weight = weights + corner * n;
+        const float *place = shared ? places : places + 3 * corner * n;
+        double *state = states + CORNER * corner;
+        for (int k = 0, done = 0; !done; k++) {
+            double normal[CORNER + 1][CORNER + 1], matrix[CORNER][CORNER], sides[3 * CORNER] = {0}, moved[2], at[CORNER];
+            corner_columns(n, value, place, weight, rules->saturated != 0, tip != 0, state, &columns);
+            for (int i = 0; i <= CORNER; i++)
+                for (int j = i; j <= CORNER; j++)
+                    normal[i][j] = normal[j][i] = dot_single(padded, columns.of[i], columns.of[j]);
+            const double noise = rules->noise * 2 * state[8], alike = noise * noise / (rules->blurs_alike * rules->blurs_alike);
+            const double known = noise * noise / (rules->correlation_known * rules->correlation_known);
+            for (int i = 0; i < CORNER; i++) {
+                for (int j = 0; j < CORNER; j++) matrix[i][j] = normal[i][j];
+                sides[3 * i] = normal[i][CORNER];
+                at[i] = state[i];
+            }
+            sides[1] = sides[3 + 2] = 1.0;
+            matrix[4][4] += alike, matrix[5][5] += alike, matrix[4][5] -= alike, matrix[5][4] -= alike;
+            sides[3 * 4] += alike * (at[5] - at[4]), sides[3 * 5] += alike * (at[4] - at[5]);
+            matrix[6][6] += known, sides[3 * 6] += known * (cos(at[2] - at[3]) - at[6]);
+            solve_damped(matrix, sides, 3, rules->damping);
+            double longest = 1.0, along = 0.0, bend = 0.0, step[CORNER];
+            for (int i = 0; i < 7; i++) {
+                const double length = fabs(sides[3 * i]) / rules->longest[i];
+                longest = length > longest ? length : longest;
+            }
+            for (int i = 0; i < CORNER; i++) step[i] = sides[3 * i] / longest;
+            for (int i = 0; i < CORNER; i++) {
+                along += normal[i][CORNER] * step[i];
+                for (int j = 0; j < CORNER; j++) bend += step[i] * normal[i][j] * step[j];
+            }
+            const double rest = normal[CORNER][CORNER] - 2 * along + bend, count = normal[7][7] - CORNER;
+            variance[corner] = (rest > 0 ? rest : rest == rest ? 0.0 : rest) / (count > 1 ? count : 1.0);
+            for (int i = 0; i < 4; i++) covariance[4 * corner + i] = sides[3 * (i / 2) + 1 + i % 2];
+            by_normals(at, step, 1, 1, moved);
+            state[0] += moved[0], state[1] += moved[1];
+            for (int i = 2; i < CORNER; i++) state[i] += step[i];
+            for (int i = 4; i < 6; i++) state[i] = clipped(state[i], rules->blur[0], rules->blur[1]);
+            state[6] = clipped(state[6], -rules->correlation, rules->correlation);
+            done = !rules->saturated;
+            for (int i = 0; i < 6; i++) done = done && !(fabs(step[i]) > rules->converged[i]);
+            const double hopeless = rules->hopeless * 2 * state[8];
+            done = done || k >= (int)rules->iterations - 1;
+            done = done || (k >= (int)rules->soon && !(variance[corner] < hopeless * hopeless));
+            if (done)
+                corner_left_out(n, value, place, &columns, at, normal, rules->damping, bow + 4 * corner, slope + 4 * corner);
+        }
     }
 }

@@ -11,6 +11,10 @@ from . import load_kernel
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+Singles = NDArray[np.float32]
+
+MOST_PIXELS = 512
+"""Of the window of a corner (PIXELS in kernel.c)."""
 MOST_COLUMNS = 64
 """Of a corner (WIDTH in kernel.c)."""
 
@@ -164,3 +168,34 @@ def running_sums(samples: Floats) -> Floats:
     found = np.empty((3, len(samples) + 1))
     library.gnomon_running_sums(_long(len(samples)), _at(samples), _out(found))
     return found
+
+
+def descend_corners(
+    windows: tuple[Singles, Singles, Singles], *, tip: bool, rules: Floats, active: NDArray[np.bool_], states: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Fit corners to their windows; see `_descend` of the corner fit.
+
+    Parameters
+    ----------
+    windows : values (m, n), places (m or 1, 3, n), and weights (m, n) of the pixels
+    tip : whether one black wedge ends there, rather than two that meet
+    rules : the fields of CornerRules in kernel.c, one behind the other
+    active : (m,) which corners are fitted
+    states : (m, 9), changed in place
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Covariances of the offsets (m, 2, 2), variances of the residuals (m,), moves by what is left out (m, 2, 2) each.
+    """
+    library = load_kernel()
+    assert library is not None
+    values, places, weights = windows
+    found = np.zeros((3, len(states), 2, 2))
+    variance = np.full(len(states), np.inf)
+    library.gnomon_descend_corners(
+        *(_long(len(values)), _long(values.shape[1]), _long(len(places) == 1), _at(values), _at(places), _at(weights)),
+        *(_long(tip), _at(rules), _at(active), _out(states), _out(found[0]), _out(variance), _out(found[1])),
+        _out(found[2]),
+    )
+    return found[0], variance, found[1], found[2]

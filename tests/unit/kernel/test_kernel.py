@@ -5,11 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from camera_imu_problem import problem
 from gnomon import kernel
+from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.products import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
 
@@ -71,6 +73,36 @@ def test_running_sums_are_those_of_numpy(monkeypatch):
         np.testing.assert_allclose(one.means, plain.means, rtol=1e-12)
         np.testing.assert_allclose(one.totals, plain.totals, rtol=1e-12, atol=1e-13)
         assert one.slope == pytest.approx(plain.slope, rel=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("white", [180, 320])
+@pytest.mark.parametrize("kind", ["crossing", "tip"])
+def test_corners_are_fitted_as_by_numpy(kind, white, monkeypatch):
+    """To what single precision leaves of a pixel, a thousandth of a standard deviation."""
+    rng = np.random.default_rng(8)
+    side, period, blur = 400, 40, 1.1
+    x, y = np.meshgrid(*[np.arange(side, dtype=float)] * 2)
+    p, q = (np.sin(np.pi * (a + 0.1 * b) / period) for a, b in ((x, y), (y, -x)))
+    dark = p * q > 0 if kind == "crossing" else (p > 0) & (q > 0)
+    sharp = np.where(dark, 30.0, white).astype(np.float32)
+    image = np.clip(cv2.GaussianBlur(sharp, (0, 0), blur) + rng.normal(0, 2, sharp.shape), 0, 255).astype(np.uint8)
+    k, m = (grid.ravel() for grid in np.meshgrid(np.arange(1, 8), np.arange(1, 8)))
+    places = np.linalg.solve([[1, 0.1], [-0.1, 1]], period * np.stack([k, m])).T
+    upper = np.where((k + m) % 2 == 0, 1.0, -1.0) if kind == "crossing" else np.where(k % 2 == 0, 1.0, -1.0)
+    lower = np.ones(len(k)) if kind == "crossing" else np.where(m % 2 == 0, 1.0, -1.0)
+    edges = np.stack([upper[:, None] * [0.995, 0.0995], lower[:, None] * [-0.0995, 0.995]], axis=1)
+    guess = places + rng.uniform(-0.7, 0.7, places.shape)
+    monkeypatch.delenv("GNOMON_KERNEL", raising=False)
+    fast = fit_corners(image, guess, edges, 4.5, kind, arm=9.0)
+    monkeypatch.setenv("GNOMON_KERNEL", "0")
+    plain = fit_corners(image, guess, edges, 4.5, kind, arm=9.0)
+    assert plain.good.mean() > 0.7
+    np.testing.assert_array_equal(fast.good, plain.good)
+    tolerances = {"pixels": 5e-5, "sigma_px": 5e-5, "blur_px": 5e-5, "normals": 5e-5, "bow": 1e-3, "slope": 1e-3}
+    for field, tolerance in tolerances.items():
+        one, other = (getattr(fits, field)[plain.good] for fits in (fast, plain))
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=tolerance, err_msg=field)
 
 
 def test_it_can_be_switched_off(monkeypatch):

@@ -22,6 +22,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from ...kernel import load_kernel
+from ...kernel.library import MOST_PIXELS, descend_corners
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from .corner_windows import (
@@ -36,7 +38,7 @@ from .corner_windows import (
     normal_distribution,
     round_windows,
 )
-from .fitted_corners import CornerFits, damp_diagonals
+from .fitted_corners import DAMPING, CornerFits, damp_diagonals
 
 CornerKind = Literal["crossing", "tip"]
 
@@ -46,7 +48,7 @@ LONGEST_ARM_PX = 9.0
 """How far the edges of a tip are looked at."""
 
 _PARAMETERS = 9
-_ITERATIONS, _SOON, _MOST = 5, 2, 0.8
+_ITERATIONS, _SOON = 5, 2
 _SUBPIX = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 4, 0.03)
 _CONVERGED = np.array([0.02, 0.02, 0.08, 0.08, 0.15, 0.15])  # px, rad, px; the next step would be its square
 _FIRST_BLUR_PX, _SLOPE_TO_BLUR = (0.35, 2.5), 0.85  # the steepest slope is not on a pixel
@@ -124,6 +126,11 @@ def _descend(
     Returns covariances of the offsets for residuals of unit variance (m, 2, 2), variances of the residuals (m,), and
     `_left_out`'s moves, (m, 2, 2) each. The last step is so small that these are told where it starts.
     """
+    if load_kernel() is not None and windows.values.shape[1] <= MOST_PIXELS:
+        chosen = np.zeros(len(state), dtype=bool)
+        chosen[active] = True
+        seen = windows.values, windows.place, windows.weight
+        return descend_corners(seen, tip=kind == "tip", rules=_rules(windows), active=chosen, states=state)
     place, bow, slope = np.zeros((3, len(state), 2, 2))
     variance = np.full(len(state), np.inf)
     for k in range(_ITERATIONS):
@@ -135,19 +142,23 @@ def _descend(
         step, place[active] = _step(normal, at)
         variance[active] = _variance(normal, pixels, step)
         state[active] = _moved(at, step)
-        if k == _ITERATIONS - 1:
-            unsettled = np.zeros(len(active), dtype=bool)
-        else:
-            unsettled = (np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)
+        unsettled = (np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)
+        unsettled |= windows.saturated  # which pixels count, and so the grey levels, is told late
+        unsettled &= k < _ITERATIONS - 1
         if k >= _SOON:
             unsettled &= variance[active] < np.square(_HOPELESS * 2 * state[active, _AMPLITUDE])
-        if unsettled.sum() < _MOST * len(active):  # to pick out a few less would cost more than it saves
-            done = np.flatnonzero(~unsettled)
-            bow[active[done]], slope[active[done]] = _left_out(
-                chosen.only(done), at[done], _rows(columns, done), _rows(leavers, done), normal[done]
-            )
-            active = active[unsettled]
+        done = np.flatnonzero(~unsettled)
+        bow[active[done]], slope[active[done]] = _left_out(
+            chosen.only(done), at[done], _rows(columns, done), _rows(leavers, done), normal[done]
+        )
+        active = active[unsettled]
     return place, variance, bow, slope
+
+
+def _rules(windows: Windows) -> Floats:
+    """Return what the kernel has to know (CornerRules)."""
+    alike = _NOISE, _BLURS_ALIKE_PX, _CORRELATION_KNOWN, _HOPELESS, DAMPING, _ITERATIONS, _SOON, windows.saturated
+    return np.array([*_CONVERGED, *_LONGEST_STEP, *_BLUR_PX, _LARGEST_CORRELATION, *alike], dtype=np.float64)
 
 
 def _rows(values: Singles, chosen: Integers) -> Singles:

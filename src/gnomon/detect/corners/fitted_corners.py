@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...models.camera import Booleans
 from ...recording import Floats
 
-_DAMPING = 1e-4
+DAMPING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,5 +72,5 @@ def join_corner_fits(first: CornerFits, second: CornerFits) -> CornerFits:
 def damp_diagonals(matrix: Floats) -> None:
     """Make the diagonals of normal matrices (m, n, n) a little larger, in place."""
     diagonal = np.einsum("mii->mi", matrix)
-    diagonal *= 1 + _DAMPING
+    diagonal *= 1 + DAMPING
     diagonal += 1e-6
