@@ -102,7 +102,9 @@ def _read_logged(
     if log is None:
         return None
     notes: list[str] = list(log.notes)
-    samples = _samples((log.accelerometer, log.gyroscope, log.magnetometer), _stated(units, None), recogniser, notes)
+    samples = samples_in_units(
+        (log.accelerometer, log.gyroscope, log.magnetometer), _stated(units, None), recogniser, notes
+    )
     return Recording(imus={"imu0": samples}, sources=log.sources, assumptions=tuple(notes))
 
 
@@ -120,7 +122,7 @@ def _read_poses(
         )
         tables, files, magnetometer = without_magnetometer([table], several[:1])
         streams = inertial_streams(tables, files, notes, alone=magnetometer is None)
-        samples = _samples((*streams, magnetometer), stated, WITH_RESTS, notes)
+        samples = samples_in_units((*streams, magnetometer), stated, WITH_RESTS, notes)
         sources = tuple(text.source for text in texts)
         return Recording(imus={"imu0": samples}, sources=sources, assumptions=(*said, *notes), pieces=pieces)
     if rate_hz is not None:
@@ -177,7 +179,7 @@ def _of_tables(
     tables, files, magnetometer = without_magnetometer(tables, files)
     streams = inertial_streams(tables, files, notes, alone=magnetometer is None)
     return Recording(
-        imus={"imu0": _samples((*streams, magnetometer), stated, recogniser, notes)},
+        imus={"imu0": samples_in_units((*streams, magnetometer), stated, recogniser, notes)},
         sources=tuple(text.source for text in texts),
         assumptions=tuple(notes),
     )
@@ -210,7 +212,7 @@ def _read_npz(
         streams: dict[str, StampedTriad] = {part.triads[0].quantity: (part.t_ns, part.triads[0]) for part in parts}
         said: list[str] = []
         three = streams.get("accelerometer"), streams.get("gyroscope"), streams.get("magnetometer")
-        imus[imu] = _samples(three, stated, recogniser, said)
+        imus[imu] = samples_in_units(three, stated, recogniser, said)
         notes += [f"{imu} {note}" if len(tables) > 1 else note for note in said]
     source: Source = file_source(files[0])
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))
@@ -303,7 +305,7 @@ def in_two_files(tables: list[SampleTable], files: list[Path], notes: list[str])
     return (streams[0], streams[1]) if first else (streams[1], streams[0])
 
 
-def _samples(streams: Streams, stated: Units, recogniser: Recogniser, notes: list[str]) -> ImuSamples:
+def samples_in_units(streams: Streams, stated: Units, recogniser: Recogniser, notes: list[str]) -> ImuSamples:
     """Make samples with units: stated, else named in the file, else recognised."""
     accel, gyro, mag = streams
     accelerometer, gyroscope, magnetometer = _nothing("m/s^2"), _nothing("rad/s"), None

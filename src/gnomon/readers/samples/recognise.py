@@ -84,7 +84,7 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
     """
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
-    slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
+    slope = None if accelerometer is None else turning_of_gravity(accelerometer, values, t_ns)
     if slope is not None:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
         return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
@@ -120,7 +120,7 @@ def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floa
     """
     if _whole_numbers(values) and np.ptp(values) > 0:
         return Unit(unit="count", reason="whole numbers")
-    slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
+    slope = None if accelerometer is None else turning_of_gravity(accelerometer, values, t_ns)
     if slope is not None:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
         return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
@@ -180,7 +180,7 @@ WITH_RESTS = Recogniser(accelerometer=accelerometer_unit, gyroscope=gyroscope_un
 IN_MOTION = Recogniser(accelerometer=accelerometer_unit_in_motion, gyroscope=gyroscope_unit_in_motion)
 
 
-def _turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers) -> float | None:
+def turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers) -> float | None:
     """Return the slope of du/dt against -omega x u [rad/s per unit of the gyroscope]; None if nothing turns."""
     size = min(len(gyroscope), 400_000)
     span = float(t_ns[size - 1] - t_ns[0]) * 1e-9

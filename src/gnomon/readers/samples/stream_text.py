@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Integers, Source, TriadSamples
+from ...units import Units
 from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
 from .column_names import Roles, column_roles
@@ -21,7 +22,7 @@ from .printed_lines import PRINTED_HEAD_BYTES, LineRewriter, printed_form
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
 from .table import Triad, preamble_rate, read_table, uniform_stamps
-from .text_table import Column, TextLayout, parse_columns, sniff_layout
+from .text_table import Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
 
 _HEAD_BYTES = 8 << 20
 _LONGEST_LINE = 1 << 20
@@ -137,19 +138,27 @@ def _plan(
 
 def _blocks(plan: _Plan, block_bytes: int, held: list[int]) -> Iterator[list[TriadSamples]]:
     """Yield the triads of every block, those of `plan.triads` that are counted in `held`."""
-    stamps = [i for i, _ in plan.used.time]
-    places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
-    values = [i for columns in places for i in columns]
     count, unwrapper = 0, Unwrapper()
     for line, text in _lines(plan, block_bytes):
         file = TextFile(name=plan.path.name, data=text, source=_NO_SOURCE)
-        data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
-        t_ns = _stamps(plan, data, count, unwrapper)
-        yield [
-            TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
-            for which, columns in zip(held, places, strict=True)
-        ]
-        count += len(data[0])
+        triads = _triads(plan, file, held, line=line, count=count, unwrapper=unwrapper)
+        yield triads
+        count += len(triads[0])
+
+
+def _triads(
+    plan: _Plan, file: TextFile, held: list[int], *, line: int, count: int, unwrapper: Unwrapper
+) -> list[TriadSamples]:
+    """Return the triads in whole lines that begin with number `line`, after `count` rows."""
+    stamps = [i for i, _ in plan.used.time]
+    places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
+    values = [i for columns in places for i in columns]
+    data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
+    t_ns = _stamps(plan, data, count, unwrapper)
+    return [
+        TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
+        for which, columns in zip(held, places, strict=True)
+    ]
 
 
 def _parsed(file: TextFile, layout: TextLayout, stamps: list[int], values: list[int]) -> list[Column]:
@@ -163,6 +172,77 @@ def _parsed(file: TextFile, layout: TextLayout, stamps: list[int], values: list[
             raise
         # Timestamps that begin as whole numbers need not stay so.
         return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
+
+
+class ArrivingTable:
+    """A table whose lines arrive one after the other, understood by the first of them as `read` understands the file.
+
+    Parameters
+    ----------
+    name : of the file that they make, for messages
+    head : its first lines, whole ones
+    stated : units, as far as they are
+    columns, rate_hz : as for `read`
+
+    Raises
+    ------
+    RecordingError
+        If so few lines are no table yet, or do not tell which triad is which.
+    """
+
+    def __init__(
+        self, name: str, head: bytes, stated: Units, columns: str | None = None, rate_hz: float | None = None
+    ) -> None:
+        form = printed_form(head)
+        self._rewriter = None if form is None else LineRewriter(form)
+        file = TextFile(name=name, data=self._rewritten(head), source=_NO_SOURCE, header=form.header if form else ())
+        table = read_table(file, columns, rate_hz, stated)
+        others, names, magnetometer = without_magnetometer([table], [Path(name)])
+        found = (*inertial_streams(others, names, [], alone=False), magnetometer)
+        index = [
+            None if one is None else next(i for i, triad in enumerate(table.triads) if triad is one[1]) for one in found
+        ]
+        self.units = {which: one[1].unit for which, one in zip(TRIADS, found, strict=True) if one is not None}
+        """Names of the triads that it holds -> unit as the lines name it, or None."""
+        plain = ("", "", "")
+        self._plan = _plan(Path(name), file, columns, rate_hz=rate_hz, time_unit=stated.time, triads=index, units=plain)
+        self._held = [which for which, place in enumerate(index) if place is not None]
+        self._unwrapper, self._count = Unwrapper(), 0
+        self.free_form = form is not None and bool(form.lines)
+        """Whether lines that are no samples may stand between the others."""
+        self.first = self._samples_of(replace(file, data=file.data[self._plan.layout.offset :]))
+        """The samples in the head, by the names of the triads; their unit is not stated."""
+
+    def _rewritten(self, text: bytes) -> bytes:
+        return text if self._rewriter is None else b"".join(self._rewriter.rows(io.BytesIO(text)))
+
+    def samples_in(self, text: bytes) -> dict[str, TriadSamples]:
+        """Return the samples in the next lines, whole ones, by the names of the triads.
+
+        Raises
+        ------
+        RecordingError
+            If one of the lines is no row of the table.
+        """
+        return self._samples_of(TextFile(name=self._plan.path.name, data=self._rewritten(text), source=_NO_SOURCE))
+
+    def is_row(self, line: bytes) -> bool:
+        """Return whether a line may stand in the file, from which it could not be read otherwise."""
+        if self.free_form:
+            return True
+        row = split_line(line.decode("latin-1").strip(), self._plan.layout.delimiter)
+        comma = self._plan.layout.decimal_comma
+        return len(row) == self._plan.layout.columns and all(
+            is_number(token, comma) or not is_number(known, comma)
+            for token, known in zip(row, self._plan.layout.sample[-1], strict=True)
+        )
+
+    def _samples_of(self, file: TextFile) -> dict[str, TriadSamples]:
+        if not file.data.strip():
+            return {}
+        blocks = _triads(self._plan, file, self._held, line=1, count=self._count, unwrapper=self._unwrapper)
+        self._count += len(blocks[0])
+        return {TRIADS[which]: block for which, block in zip(self._held, blocks, strict=True)}
 
 
 def _stamps(plan: _Plan, data: list[Column], count: int, unwrapper: Unwrapper) -> Integers:

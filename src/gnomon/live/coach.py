@@ -1,0 +1,271 @@
+"""Tells a person what to do next with the sensor in the hand.
+
+samples -> still or moving -> after each rest: what the rests would tell -> one sentence, one target
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..assess.needs import judge_for_use, needs_of_use
+from ..calibrate.imu import calibrate_imu
+from ..detect.samples.static import quantisation_step
+from ..errors import GnomonError
+from ..options.requirements import GENERAL, Use
+from ..readers.recordings import samples_in_units
+from ..readers.samples.recognise import WITH_RESTS
+from ..readers.samples.sample_stream import TRIADS
+from ..readers.samples.table import Triad
+from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
+from ..units import Units
+from .faults import Fault, faults_of
+from .prospect import Prospect, look_ahead, rate_unit_of
+
+FIRST_REST_S = 20.0
+_HOLD_S = 2.0
+_WINDOW_S, _RECENT_S, _JUMP_S = 0.5, 3.0, 2.0
+_STILL, _SHAKY = 10.0, 1e5  # times the level at rest, of s^2
+_TURNING = 8.0  # times the gyroscope's noise
+_FEWEST_RESTS = 12
+_LEVELS = 600
+_SIDES = {  # of a box whose z axis points out of its face, x to its front and y to its left
+    (0, 0, 1): "flat, face up",
+    (0, 0, -1): "flat, face down",
+    (1, 0, 0): "upright, its front up",
+    (-1, 0, 0): "upright, its back up",
+    (0, 1, 0): "on its right edge",
+    (0, -1, 0): "on its left edge",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoachState:
+    """What the coach has to say.
+
+    Attributes
+    ----------
+    advice : one sentence
+    phase : "waiting", "first rest", "turn", "hold", "shaking", or "enough"
+    still_s : how long it rests by now
+    up : (3,) where up is in the sensor now, None as long as nothing is known
+    prospect : what the rests would tell
+    faults : what is wrong now
+    seconds, rate_hz : of the recording
+    confirmed : whether a calibration of the recording so far serves the use
+    """
+
+    advice: str = "Waiting for samples."
+    phase: str = "waiting"
+    still_s: float = 0.0
+    up: Floats | None = None
+    prospect: Prospect = field(default_factory=Prospect)
+    faults: tuple[Fault, ...] = ()
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    confirmed: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """Return it for the page."""
+        target = self.prospect.target
+        return {
+            "advice": self.advice,
+            "phase": self.phase,
+            "still_s": round(self.still_s, 1),
+            "hold_s": FIRST_REST_S if self.phase == "first rest" else _HOLD_S,
+            "up": None if self.up is None else np.round(self.up, 3).tolist(),
+            "target": None if target is None else np.round(target, 3).tolist(),
+            "rests": np.round(self.prospect.up, 3).tolist(),
+            "bars": [[need.block, round(need.sigma / need.needed, 3)] for need in self.prospect.needs],
+            "faults": [[fault.code, fault.text] for fault in self.faults],
+            "seconds": round(self.seconds, 1),
+            "rate_hz": round(self.rate_hz, 1),
+            "confirmed": self.confirmed,
+        }
+
+
+class Coach:
+    """Looks at the samples as they come.
+
+    Parameters
+    ----------
+    use : what the sensor is for
+    stated : units, as far as they are
+    """
+
+    def __init__(self, use: Use, stated: Units | None = None) -> None:
+        self._use, self._stated = use, stated or Units()
+        self._triads = {name: _Growing() for name in TRIADS}
+        self._named: dict[str, str | None] = {}
+        self._told: dict[str, str] = {}
+        self._levels: list[Floats] = []
+        self._still_from: float | None = None
+        self._looked, self._shaky = False, 0
+        self._rate_unit: float | None = None
+        self._factors: dict[str, float] = {}
+        self.state = CoachState()
+
+    def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
+        """Take the next samples of the triads, and the units that the lines name."""
+        self._named |= dict(named)
+        for name, block in blocks.items():
+            self._triads[name].append_block(block)
+
+    @property
+    def samples(self) -> ImuSamples:
+        """All samples so far, in units as a reader would tell them."""
+        return self._in_units(slice(None))
+
+    def look_at_samples(self) -> CoachState:
+        """Look at what came, and return what there is to say."""
+        accelerometer = self._triads["accelerometer"]
+        if accelerometer.count < 2:
+            return self.state
+        t_ns, values = accelerometer.rows
+        seconds = float(t_ns[-1] - t_ns[0]) * 1e-9
+        rate_hz = (accelerometer.count - 1) / seconds if seconds > 0 else 0.0
+        if seconds < 2 * _WINDOW_S:
+            return self.state
+        spread = self._spread(t_ns, values)
+        self._notice_rest(seconds, still=spread < _STILL)
+        still_s = 0.0 if self._still_from is None else seconds - self._still_from
+        jumped = seconds - self.state.seconds > _JUMP_S  # a file that was there already, or sent faster than real time
+        self.state = replace(
+            self.state, seconds=seconds, rate_hz=rate_hz, still_s=still_s, up=_direction(values, rate_hz)
+        )
+        if (still_s >= _HOLD_S and not self._looked) or jumped:
+            self._looked = still_s >= _HOLD_S
+            self._look_ahead()
+        recent = self._in_units(slice(-max(2, round(_RECENT_S * rate_hz)), None))
+        faults = tuple(faults_of(recent, self._rate_unit, still=still_s > _WINDOW_S))
+        self.state = replace(self.state, faults=faults)
+        self.state = replace(self.state, **self._said(spread))
+        return self.state
+
+    def _spread(self, t_ns: Integers, values: Floats) -> float:
+        """Return s^2 of the last half second, over its level at rest."""
+        first = int(np.searchsorted(t_ns, t_ns[-1] - int(_WINDOW_S * 1e9)))
+        window = values[first:]
+        variance = window.var(axis=0) + quantisation_step(window) ** 2 / 12 + 1e-300
+        self._levels = [*self._levels[-_LEVELS:], variance]
+        level = np.quantile(np.array(self._levels), 0.1, axis=0)
+        spread = float(np.mean((variance / level) ** 2))
+        rates = self._triads["gyroscope"].rows[1][-len(window) :]
+        if len(rates) > 4:  # turned about the vertical, too
+            noise = np.std(np.diff(rates, axis=0), axis=0) / np.sqrt(2) + 1e-300
+            third = len(rates) // 3
+            moved = np.abs(rates[-third:].mean(axis=0) - rates[:third].mean(axis=0)) / noise
+            spread = max(spread, _STILL * float(moved.max()) / _TURNING)
+        return spread
+
+    def _notice_rest(self, seconds: float, *, still: bool) -> None:
+        if not still:
+            self._still_from, self._looked = None, False
+        elif self._still_from is None:
+            self._still_from = max(0.0, seconds - _WINDOW_S)
+
+    def _look_ahead(self) -> None:
+        imu = self.samples
+        if not len(imu.gyroscope):
+            return
+        self._rate_unit = rate_unit_of(imu)
+        prospect = look_ahead(imu, self._use, self._factors)
+        confirmed = False
+        if prospect.needs and len(prospect.up) >= _FEWEST_RESTS and all(n.sigma <= n.needed for n in prospect.needs):
+            confirmed = self._confirm(imu, prospect)
+        self.state = replace(self.state, prospect=prospect, confirmed=confirmed)
+
+    def _confirm(self, imu: ImuSamples, prospect: Prospect) -> bool:
+        """Calibrate what was recorded so far; where it does not serve, learn by how much more is needed."""
+        try:
+            calibration = calibrate_imu(Recording(imus={"imu0": imu})).calibration
+        except GnomonError:
+            return False
+        reached = {need.block: need.sigma for need in needs_of_use(calibration, self._use)}
+        for need in prospect.needs:
+            self._factors[need.block] = self._factors.get(need.block, 1.0) * reached.get(need.block, 0.0) / need.sigma
+        use = None if self._use.name == GENERAL else self._use
+        serves = all(need.verdict == "pass" for need in needs_of_use(calibration, self._use))
+        return serves and judge_for_use(calibration, use).verdict == "pass"
+
+    def _in_units(self, part: slice) -> ImuSamples:
+        streams: list[tuple[Integers, Triad] | None] = []
+        for name in TRIADS:
+            t_ns, values = self._triads[name].rows
+            unit = self._named.get(name) or (self._told.get(name) if part != slice(None) else None)
+            triad = Triad(quantity=name, values=values[part], unit=unit)
+            streams.append((t_ns[part], triad) if len(t_ns[part]) else None)
+        imu = samples_in_units((streams[0], streams[1], streams[2]), self._stated, WITH_RESTS, [])
+        if part == slice(None):  # of all samples it is told better than of the last few
+            self._told = {"accelerometer": imu.accelerometer.unit, "gyroscope": imu.gyroscope.unit}
+        return imu
+
+    def _said(self, spread: float) -> dict[str, Any]:
+        """Return phase and advice."""
+        state = self.state
+        rests, still_s = len(state.prospect.up), state.still_s
+        if state.confirmed:
+            return {"phase": "enough", "advice": "Enough: what is needed is reached. Stop, or go on for more."}
+        if rests <= 1 and state.seconds < FIRST_REST_S + 2 and still_s > 0:
+            left = FIRST_REST_S - still_s
+            if left > 0:
+                return {"phase": "first rest", "advice": f"Let it lie still on the table for {left:.0f} s more."}
+        if still_s > 0 and still_s < _HOLD_S:
+            return {"phase": "hold", "advice": f"Hold still, {_HOLD_S - still_s:.0f} s more."}
+        self._shaky = self._shaky + 1 if still_s == 0 and spread < _SHAKY else 0
+        if self._shaky > 2:
+            return {"phase": "shaking", "advice": "It shakes: put it down or lean it against something, and let go."}
+        more = _FEWEST_RESTS - rests
+        met = state.prospect.needs and all(need.sigma <= need.needed for need in state.prospect.needs)
+        why = f"{more} more rests show that it is true" if met and more > 0 else "any new attitude counts"
+        return {"phase": "turn", "advice": f"Put it {words_of_attitude(state.prospect.target)}; {why}."}
+
+
+class _Growing:
+    """Rows that grow at their end."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._t_ns, self._values = np.empty(1024, np.int64), np.empty((1024, 3))
+
+    @property
+    def rows(self) -> tuple[Integers, Floats]:
+        """Stamps (n,) and values (n, 3)."""
+        return self._t_ns[: self.count], self._values[: self.count]
+
+    def append_block(self, block: TriadSamples) -> None:
+        """Add samples."""
+        after = self.count + len(block)
+        if after > len(self._t_ns):
+            size = max(2 * len(self._t_ns), after)
+            self._t_ns = np.concatenate([self._t_ns, np.empty(size - len(self._t_ns), np.int64)])
+            self._values = np.concatenate([self._values, np.empty((size - len(self._values), 3))])
+        self._t_ns[self.count : after], self._values[self.count : after] = block.t_ns, block.values
+        self.count = after
+
+
+def _direction(values: Floats, rate_hz: float) -> Floats | None:
+    mean = values[-max(1, round(0.2 * rate_hz)) :].mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    return mean / size if size > 0 else None
+
+
+def words_of_attitude(up: Floats | None) -> str:
+    """Return how to lay a box so that a direction of it points up.
+
+    Examples
+    --------
+    >>> words_of_attitude(np.array([0.0, -1.0, 0.0]))
+    'on its left edge (-y up)'
+    >>> words_of_attitude(np.array([0.7, 0.0, 0.7]))
+    'between upright, its front up, and flat, face up (+x +z up)'
+    """
+    if up is None:
+        return "down in another attitude"
+    large = [axis for axis in range(3) if abs(up[axis]) > 0.3]
+    sides = [_SIDES[tuple(int(np.sign(up[axis])) * (axis == k) for k in range(3))] for axis in large]  # pyright: ignore[reportArgumentType]
+    axes = " ".join(f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}" for axis in large)
+    if len(sides) == 1:
+        return f"{sides[0]} ({axes} up)"
+    return f"between {', '.join(sides[:-1])}, and {sides[-1]} ({axes} up)"

@@ -1,0 +1,125 @@
+"""What is wrong with the samples of the last seconds, named while it can still be mended."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..detect.samples.rounding import smallest_steps
+from ..detect.samples.saturation import saturated_samples
+from ..recording import Floats, ImuSamples, TriadSamples
+from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+
+_SLOW_HZ = 80.0
+_FEWEST = 20
+_GAP = 3.5  # periods
+_REPEATED = 0.3
+_CLIPPED = 3
+_FAST_RAD = 0.12  # between two samples; a rate of 6 rad/s at 50 Hz
+_COARSE_M_S2, _COARSE_RAD_S = (
+    0.03,
+    1.4e-3,
+)  # of Chromium 0.1 and 0.0017; of 16 bits at +-16 g and +-2000 deg/s 0.005, 0.001
+_PLAUSIBLE = (0.7, 1.3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """Something that spoils the recording, and a way on.
+
+    Attributes
+    ----------
+    code : names it, such as "saturated"
+    text : what is wrong, and what to do
+    """
+
+    code: str
+    text: str
+
+
+def faults_of(recent: ImuSamples, rate_unit: float | None, *, still: bool) -> Iterator[Fault]:
+    """Yield what is wrong with samples.
+
+    Parameters
+    ----------
+    recent : of the last seconds
+    rate_unit : of the gyroscope, about [rad/s], where it is known
+    still : whether the sensor rests now
+    """
+    accelerometer, gyroscope = recent.accelerometer, recent.gyroscope
+    if not len(gyroscope):
+        yield Fault(code="no-gyroscope", text="No gyroscope arrives: let the device send it too.")
+    triads = [("accelerometer", accelerometer), ("gyroscope", gyroscope)]
+    for name, samples in triads:
+        if len(samples) >= _FEWEST:
+            yield from _of_stamps(samples, name)
+            yield from _of_values(samples, name)
+    if len(accelerometer) < _FEWEST:
+        return
+    force_unit = ACCELEROMETER_UNITS_M_S2[accelerometer.unit]
+    yield from _coarse(accelerometer, force_unit, _COARSE_M_S2, "accelerometer")
+    if len(gyroscope) >= _FEWEST:
+        yield from _coarse(gyroscope, rate_unit, _COARSE_RAD_S, "gyroscope")
+        fastest = 0.0 if rate_unit is None else rate_unit * float(np.quantile(_size(gyroscope.values), 0.98))
+        if fastest > _FAST_RAD * gyroscope.rate_hz:
+            yield Fault(code="too-fast", text=f"Too fast ({np.degrees(fastest):.0f} deg/s): turn it more slowly.")
+    if still and force_unit is not None:
+        last = accelerometer.values[-_FEWEST:]
+        found = float(np.linalg.norm(last.mean(axis=0))) * force_unit / STANDARD_GRAVITY_M_S2
+        if found < _PLAUSIBLE[0]:
+            yield Fault(
+                code="no-gravity",
+                text=f"The accelerometer shows {found:.2f} g at rest: gravity was removed, or the unit is another one. "
+                "Let the device send the acceleration with gravity.",
+            )
+        elif found > _PLAUSIBLE[1]:
+            yield Fault(
+                code="not-gravity",
+                text=f"The accelerometer shows {found:.2f} g at rest: its unit is another one. State it with --units.",
+            )
+
+
+def _size(values: Floats) -> Floats:
+    return np.abs(values).max(axis=1)
+
+
+def _of_stamps(samples: TriadSamples, name: str) -> Iterator[Fault]:
+    steps = np.diff(samples.t_ns)
+    period = float(np.median(steps))
+    if (steps < 0).any():
+        yield Fault(
+            code="clock-back",
+            text="The device's clock went back: it was restarted. Stop, and begin a new recording.",
+        )
+        return
+    if period > 0 and name == "accelerometer":
+        lost = int(np.rint(steps[steps > _GAP * period] / period - 1).sum())
+        if lost:
+            yield Fault(
+                code="dropped",
+                text=f"{lost} samples were lost in the last seconds: use a shorter cable, a higher baud rate, or a "
+                "lower sample rate.",
+            )
+        if 1e9 / period < _SLOW_HZ:
+            yield Fault(
+                code="throttled",
+                text=f"Only {1e9 / period:.0f} samples a second arrive: let the device send 100 or more.",
+            )
+
+
+def _of_values(samples: TriadSamples, name: str) -> Iterator[Fault]:
+    if float((np.diff(samples.values, axis=0) == 0).all(axis=1).mean()) > _REPEATED:
+        silent = not np.ptp(samples.values, axis=0).any()
+        text = "never changes: is it switched on?" if silent else "repeats its readings: it is slower than it is read."
+        yield Fault(code="silent" if silent else "repeated", text=f"The {name} {text}")
+        return
+    if np.count_nonzero(saturated_samples(samples)) >= _CLIPPED:
+        why = "turn it more slowly" if name == "gyroscope" else "do not hit or shake it"
+        yield Fault(code="saturated", text=f"The {name} is at the end of its range: {why}.")
+
+
+def _coarse(samples: TriadSamples, unit: float | None, limit: float, name: str) -> Iterator[Fault]:
+    step = np.nan_to_num(smallest_steps(samples.values)).max() * (unit or 0.0)
+    if step > limit:
+        text = f"The {name} arrives rounded to {step:.2g} {'m/s^2' if name[0] == 'a' else 'rad/s'}: let the device send"
+        yield Fault(code="rounded", text=f"{text} all digits. Web browsers round; an app of its own does not.")

@@ -1,0 +1,43 @@
+"""gnomon live from the command line: the recording that it leaves is one that gnomon imu reads."""
+
+from itertools import islice
+
+import pytest
+
+from gnomon.cli import main
+from gnomon.live.hand import FIRST_REST_S, SimulatedHand
+
+
+@pytest.mark.long
+def test_the_result_is_that_of_the_ordinary_command(tmp_path, capsys):
+    hand = SimulatedHand(6)
+    count = round((FIRST_REST_S + 18 * 4.5) * hand.rate_hz)
+    log = tmp_path / "log.txt"
+    log.write_bytes(b"".join(line + b"\n" for line in islice(hand.sample_lines(), count)))
+    folder, again = tmp_path / "monday", tmp_path / "again"
+    code = main(
+        [
+            "live",
+            "imu",
+            f"tail:{log}",
+            "--for",
+            "ahrs",
+            "--no-browser",
+            "--until-enough",
+            "--no-report",
+            "-o",
+            str(folder),
+        ]
+    )
+    assert code == 0
+    assert main(["imu", str(folder), "--for", "ahrs", "--no-report", "-o", str(again)]) == 0
+    told = capsys.readouterr()
+    assert "Enough" in told.err
+    live = tmp_path / "monday-imu" / "calibration.yaml"
+    assert live.read_bytes() == (again / "calibration.yaml").read_bytes()
+
+
+def test_a_source_that_is_none_is_refused_before_anything_is_made(tmp_path, capsys):
+    assert main(["live", "imu", "usb:3", "-o", str(tmp_path / "x")]) == 2
+    assert "serial:PORT" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()

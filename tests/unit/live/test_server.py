@@ -1,0 +1,88 @@
+"""The page: who may see it, and what it does with those who may not."""
+
+import http.client
+import json
+import time
+
+import pytest
+
+pytest.importorskip("uvicorn")
+
+from gnomon.live.server import LivePage
+from gnomon.live.session import LiveSession
+from gnomon.live.sources import PushSource
+from gnomon.options.requirements import USES
+
+
+@pytest.fixture
+def page(tmp_path):
+    session = LiveSession(PushSource(), tmp_path / "rec", USES["ahrs"])
+    page = LivePage(session)
+    page.begin_serving()
+    end = time.monotonic() + 5
+    while not page._server.started and time.monotonic() < end:
+        time.sleep(0.01)
+    yield page
+    page.show_result(tmp_path / "none.html")
+    session.end_recording()
+
+
+def answer(page, path, method="GET", body=None, token=True, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=5)
+    full = f"{path}{'&' if '?' in path else '?'}token={page.token}" if token else path
+    connection.request(method, full, body=body, headers=headers)
+    found = connection.getresponse()
+    text = found.read() if path != "/events" or found.status != 200 else found.readline()
+    connection.close()
+    return found.status, text, dict(found.getheaders())
+
+
+def test_the_page_asks_nothing_of_others(page):
+    status, text, headers = answer(page, "/")
+    assert status == 200
+    assert b"http:" not in text
+    assert b"https:" not in text
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "HttpOnly" in headers["set-cookie"]
+    assert answer(page, "/live.js")[0] == answer(page, "/live.css")[0] == 200
+    assert answer(page, "/live.js", token=False, Cookie=f"gnomon-{page.port}={page.token}")[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/live.js", "/events", "/report", "/nothing"])
+def test_nothing_is_told_without_the_token(page, path):
+    assert answer(page, path, token=False)[0] == 403
+    assert answer(page, f"{path}?token=wrong", token=False)[0] == 403
+    assert answer(page, path, token=False, Cookie=f"gnomon-{page.port}=\xe9")[0] == 403
+
+
+@pytest.mark.parametrize("path", ["/stop", "/push"])
+def test_nobody_else_stops_or_sends(page, path):
+    assert answer(page, path, "POST", token=False)[0] == 403
+    assert answer(page, path, "POST", Origin="http://evil.example")[0] == 403
+    assert answer(page, path, "POST", Origin="null")[0] == 403
+    assert answer(page, path, "POST", Host="evil.example")[0] == 400
+    assert answer(page, path)[0] == 405
+    assert not page.session.stopped.is_set()
+
+
+@pytest.mark.parametrize("path", ["/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/report/../../x"])
+def test_no_other_file_is_served(page, path):
+    status, text, _ = answer(page, path)
+    assert status == 404
+    assert b"root:" not in text
+
+
+def test_pushes_are_taken_and_bounded(page):
+    entry = {"name": "gyroscope", "time": 5, "values": {"x": 1, "y": 2, "z": 3}}
+    assert answer(page, "/push", "POST", json.dumps({"payload": [entry]}))[:2] == (200, b"1 samples")
+    assert answer(page, "/push", "POST", b"no")[0] == 400
+    assert answer(page, "/push", "POST", b"x" * (5 << 20))[0] == 413
+
+
+def test_stop_from_the_page_ends_the_recording(page):
+    assert answer(page, "/stop", "POST", Origin=f"http://127.0.0.1:{page.port}")[0] == 200
+    assert page.session.stopped.is_set()
+
+
+def test_events_tell_the_state(page):
+    assert answer(page, "/events")[1] == b"event: state\n"
