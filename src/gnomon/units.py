@@ -45,6 +45,14 @@ MAGNETOMETER_UNITS_UT: dict[str, float | None] = {
 }
 """One unit in microtesla; None where only a calibration can tell."""
 
+TEMPERATURE_UNITS_DEGC: dict[str, tuple[float, float] | None] = {
+    "degC": (1.0, 0.0),
+    "K": (1.0, -273.15),
+    "degF": (5 / 9, -160 / 9),
+    "count": None,
+}
+"""Factor and offset that make degrees Celsius of a value; None where the thermometer's data sheet must tell."""
+
 TIME_UNITS_NS: dict[str, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """One unit in nanoseconds."""
 

@@ -105,6 +105,7 @@ def _read_logged(
     samples = samples_in_units(
         (log.accelerometer, log.gyroscope, log.magnetometer), _stated(units, None), recogniser, notes
     )
+    samples = replace(samples, temperature=log.temperature)
     return Recording(imus={"imu0": samples}, sources=log.sources, assumptions=tuple(notes))
 
 
@@ -176,10 +177,12 @@ def _of_tables(
     recogniser: Recogniser, texts: list[TextFile], files: list[Path], tables: list[SampleTable], stated: Units
 ) -> Recording:
     notes = [note for table in tables for note in table.notes]
+    temperature = next((table.temperature for table in tables if table.temperature is not None), None)
     tables, files, magnetometer = without_magnetometer(tables, files)
     streams = inertial_streams(tables, files, notes, alone=magnetometer is None)
+    samples = samples_in_units((*streams, magnetometer), stated, recogniser, notes)
     return Recording(
-        imus={"imu0": samples_in_units((*streams, magnetometer), stated, recogniser, notes)},
+        imus={"imu0": replace(samples, temperature=temperature)},
         sources=tuple(text.source for text in texts),
         assumptions=tuple(notes),
     )
@@ -212,7 +215,7 @@ def _read_npz(
         streams: dict[str, StampedTriad] = {part.triads[0].quantity: (part.t_ns, part.triads[0]) for part in parts}
         said: list[str] = []
         three = streams.get("accelerometer"), streams.get("gyroscope"), streams.get("magnetometer")
-        imus[imu] = samples_in_units(three, stated, recogniser, said)
+        imus[imu] = replace(samples_in_units(three, stated, recogniser, said), temperature=parts[0].temperature)
         notes += [f"{imu} {note}" if len(tables) > 1 else note for note in said]
     source: Source = file_source(files[0])
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))

@@ -4,7 +4,7 @@ from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbe
 from .frames import CameraFrames, FrameQuality, KnownRig
 from .poses import Poses
 from .recording import Recording
-from .samples import ImuSamples, TriadSamples
+from .samples import ImuSamples, TemperatureSamples, TriadSamples
 from .sources import Piece, Source, recorded_hashes, shared_sources
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Poses",
     "Recording",
     "Source",
+    "TemperatureSamples",
     "TriadSamples",
     "close_gaps",
     "frozen_array",

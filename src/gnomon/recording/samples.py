@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..frozen import value_class
 from ..models.noise import ImuNoise
+from ..units import TEMPERATURE_UNITS_DEGC
 from .arrays import Floats, Integers, frozen_array, usual_step
 from .dataframes import make_dataframe
 
@@ -77,6 +78,47 @@ class TriadSamples:
 
 
 @value_class
+class TemperatureSamples:
+    """Readings of the thermometer of an IMU.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64 [ns]
+        In the clock of the triads.
+    values : (n,) float64 [unit]
+        As recorded.
+    unit : str
+        "degC", "K", "degF" or "count".
+
+    Raises
+    ------
+    RecordingError
+        If the shapes do not fit.
+    """
+
+    t_ns: Integers
+    values: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, np.int64))
+        object.__setattr__(self, "values", frozen_array(self.values))
+        if self.values.ndim != 1 or self.t_ns.shape != self.values.shape:
+            raise RecordingError(
+                f"temperatures must be (n,) with n timestamps; found values {self.values.shape} and timestamps "
+                f"{self.t_ns.shape}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def celsius(self) -> Floats | None:
+        """Return the temperatures (n,) [degC]; None for counts, whose meaning the recording does not tell."""
+        conversion = TEMPERATURE_UNITS_DEGC[self.unit]
+        return None if conversion is None else conversion[0] * self.values + conversion[1]
+
+
+@value_class
 class ImuSamples:
     """The triads of one IMU; they may differ in rate and timestamps, but share one clock.
 
@@ -86,6 +128,7 @@ class ImuSamples:
     magnetometer : None where the recording has none
     noise : what its data sheet or its Allan deviation says, where that was stated
     topic : ROS topic that Kalibr's files name, or ""
+    temperature : of its thermometer; None where the recording has none
     T_imu_body : (4, 4) how it lies to the first IMU, p_imu = T_imu_body @ p_body, where stated; it is not needed
     time_shift_s : t_body = t_imu + time_shift_s, between timestamps [s], where stated; it is not needed
     """
@@ -95,6 +138,7 @@ class ImuSamples:
     noise: ImuNoise | None = None
     topic: str = ""
     magnetometer: TriadSamples | None = None
+    temperature: TemperatureSamples | None = None
     T_imu_body: Floats | None = None
     time_shift_s: float | None = None
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..output import atomic_file
-from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples
 
 _CHUNK = 20_000  # rows; bounds the memory
 _AXES = "xyz"
@@ -79,6 +79,10 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
             arrays[f"{prefix}unit_{quantity}"] = np.array(samples.unit)
             if not shared or not np.array_equal(samples.t_ns, imu.accelerometer.t_ns):
                 arrays[f"{prefix}t_{quantity}_ns"] = samples.t_ns
+        if imu.temperature is not None:
+            arrays[f"{prefix}temperature"] = imu.temperature.values
+            arrays[f"{prefix}t_temperature_ns"] = imu.temperature.t_ns
+            arrays[f"{prefix}unit_temperature"] = np.array(imu.temperature.unit)
     return arrays
 
 
@@ -96,22 +100,28 @@ def _save_csv(imu: ImuSamples, path: Path) -> tuple[Path, ...]:
     written: list[Path] = []
     for name, group in files.items():
         one = path if len(files) == 1 else path.with_name(f"{stem}{name}{suffix}")
-        _write_table(one, group, "".join(letters[id(samples)] for samples in group))
+        _write_table(one, group, "".join(letters[id(samples)] for samples in group), imu.temperature)
         written.append(one)
     return tuple(written)
 
 
-def _write_table(path: Path, triads: Sequence[TriadSamples], letters: str) -> None:
+def _write_table(
+    path: Path, triads: Sequence[TriadSamples], letters: str, temperature: TemperatureSamples | None
+) -> None:
+    """Write a table, with the temperature in it where that has the same timestamps."""
+    own = [] if temperature is None or not np.array_equal(temperature.t_ns, triads[0].t_ns) else [temperature]
     with atomic_file(path) as raw:
         # No name and no time in the gzip header: the same recording gives the same bytes.
         packed = path.name.lower().endswith(".gz")
         stream = cast("IO[bytes]", gzip.GzipFile("", "wb", fileobj=raw, mtime=0)) if packed else raw
         text = io.TextIOWrapper(stream, encoding="ascii", newline="")
         names = [f"{letter}{axis} [{t.unit}]" for t, letter in zip(triads, letters, strict=True) for axis in _AXES]
+        names += [f"temperature [{one.unit}]" for one in own]
         text.write(",".join(["t_ns", *names]) + "\n")
         for first in range(0, len(triads[0]), _CHUNK):
             part = slice(first, first + _CHUNK)
             columns = [triads[0].t_ns[part], *(t.values[part, axis] for t in triads for axis in range(3))]
+            columns += [one.values[part] for one in own]
             text.writelines(",".join(row) + "\n" for row in zip(*map(_texts, columns), strict=True))
         text.flush()
         text.detach()

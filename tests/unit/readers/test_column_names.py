@@ -59,7 +59,7 @@ from gnomon.readers.samples.column_names import column_name, unit_of
         ("orientation.x", "other", None, None),
         ("angular_velocity_covariance[0]", "other", None, None),
         ("userAccelerationX", "other", None, None),
-        ("temperature", "other", None, None),
+        ("temperature", "temperature", None, None),
         ("frame_id", "other", None, None),
         ("", "other", None, None),
     ],

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import Floats, Integers
+from ...recording import Floats, Integers, TemperatureSamples
 from ..files import file_source, first_bytes
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
@@ -103,7 +103,8 @@ def read_dataflash(path: Path) -> DeviceLog:
         raise RecordingError(
             f"{path.name}: this log of ArduPilot holds no messages IMU, ACC and GYR. Let LOG_BITMASK include IMU."
         )
-    return DeviceLog(**triads, sources=(file_source(path),), notes=tuple(notes))
+    temperature = _temperature(tables.get("IMU"))
+    return DeviceLog(**triads, temperature=temperature, sources=(file_source(path),), notes=tuple(notes))
 
 
 def _binary(data: bytes) -> tuple[dict[str, _Messages], int]:
@@ -171,3 +172,13 @@ def _triad(table: dict[str, NDArray[Any]] | None, axes: tuple[str, ...]) -> tupl
     good = first & np.isfinite(values).all(axis=1)
     t_ns = table[stamps].astype(np.int64) * (1_000_000 if stamps == "TimeMS" else 1000)
     return (t_ns[good], np.ascontiguousarray(values[good])) if good.sum() > 1 else None
+
+
+def _temperature(table: dict[str, NDArray[Any]] | None) -> TemperatureSamples | None:
+    """Return what the thermometer of the first IMU read [degC]; None where it is not logged."""
+    if table is None or not {"T", "TimeUS"} <= table.keys():
+        return None
+    values = table["T"].astype(np.float64)
+    good = np.isfinite(values) & (table["I"] == 0 if "I" in table else True)
+    t_ns = 1000 * table["TimeUS"].astype(np.int64)
+    return TemperatureSamples(t_ns=t_ns[good], values=values[good], unit="degC") if good.sum() > 1 else None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import OptionError, RecordingError
-from ...recording import Integers, Source
+from ...recording import Integers, Source, TemperatureSamples
 from ..samples.table import Triad
 
 StampedTriad = tuple[Integers, Triad]
@@ -18,6 +18,7 @@ class DeviceLog:
     Attributes
     ----------
     accelerometer, gyroscope, magnetometer : timestamps and samples, or None
+    temperature : of the IMU's thermometer, or None
     sources : the files that were read
     notes : what was assumed
     """
@@ -25,6 +26,7 @@ class DeviceLog:
     accelerometer: StampedTriad | None = None
     gyroscope: StampedTriad | None = None
     magnetometer: StampedTriad | None = None
+    temperature: TemperatureSamples | None = None
     sources: tuple[Source, ...]
     notes: tuple[str, ...]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import Integers
+from ...recording import Integers, TemperatureSamples
 from ..files import file_source, first_bytes
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
@@ -74,7 +74,8 @@ def read_ulog(path: Path) -> DeviceLog:
             f"{', '.join(sorted({topic.name for topic in log.topics.values()}))[:300] or 'no data'}. Log them "
             "(SDLOG_PROFILE)."
         )
-    return DeviceLog(**triads, sources=(file_source(path),), notes=tuple(notes))
+    temperature = log.temperature()
+    return DeviceLog(**triads, temperature=temperature, sources=(file_source(path),), notes=tuple(notes))
 
 
 def _rate_hz(t_ns: Integers) -> float:
@@ -147,6 +148,21 @@ class _Log:
         dtype = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": topic.size})
         raw = b"".join([self.data[place : place + topic.size] for place in topic.places])
         return np.frombuffer(raw, dtype)
+
+    def temperature(self) -> TemperatureSamples | None:
+        """Return what the thermometer of the first accelerometer or gyroscope read; None where it is not logged."""
+        for name in ("sensor_accel", "sensor_gyro"):
+            topics = [topic for topic in self.topics.values() if topic.name == name and len(topic.places) > 1]
+            rows = (
+                self._rows(min(topics, key=lambda one: one.instance), {"timestamp", "temperature"}) if topics else None
+            )
+            if rows is None or set(rows.dtype.names or ()) != {"timestamp", "temperature"}:
+                continue
+            good = np.isfinite(rows["temperature"])
+            t_ns, values = 1000 * rows["timestamp"].astype(np.int64), rows["temperature"].astype(np.float64)
+            if good.sum() > 1:
+                return TemperatureSamples(t_ns=t_ns[good], values=values[good], unit="degC")
+        return None
 
     def triad(self, name: str, fields: tuple[str, ...]) -> tuple[Integers, NDArray[np.float64]] | None:
         """Return timestamps [ns] and values (n, 3) of the first instance of a topic; None where it is not there."""

@@ -8,7 +8,7 @@ from ...errors import OptionError, RecordingError
 from .column_help import columns_help
 from .text_table import TextLayout, column_rises, is_number
 
-Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "unnamed", "other"]
+Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "temperature", "unnamed", "other"]
 
 
 def _words(text: str) -> frozenset[str]:
@@ -29,9 +29,8 @@ _SENSORS: dict[Quantity, frozenset[str]] = {
     "magnetometer": _MAGNETOMETER,
 }
 # Columns of these are something else, even if the name of a sensor is in them too.
-_OTHER = _words(
-    "covariance cov std stddev var variance bias offset orientation quaternion quat gravity user temperature temp"
-)
+_OTHER = _words("covariance cov std stddev var variance bias offset orientation quaternion quat gravity user")
+_TEMPERATURE = _words("temperature temp tmp")
 
 _COUNT = dict.fromkeys(_words("count counts lsb raw adc digit digits bit bits"), "count")
 _UNITS: dict[str, dict[str, str]] = {
@@ -53,6 +52,12 @@ _UNITS: dict[str, dict[str, str]] = {
         **dict.fromkeys(_words("t tesla teslas"), "T"),
         **dict.fromkeys(_words("g ga gs gauss"), "gauss"),
         **dict.fromkeys(_words("mg mga mgauss milligauss"), "mgauss"),
+        **_COUNT,
+    },
+    "temperature": {
+        **dict.fromkeys(_words("c degc celsius degcelsius degreec degreescelsius"), "degC"),
+        **dict.fromkeys(_words("k kelvin"), "K"),
+        **dict.fromkeys(_words("f degf fahrenheit degfahrenheit"), "degF"),
         **_COUNT,
     },
     "time": {
@@ -119,11 +124,12 @@ def column_name(text: str) -> ColumnName:
     words = [word for word in words if word != "axis"]
     if not words or _OTHER.intersection(words):
         return OTHER
+    warmth = _temperature(words, inside)
+    if warmth is not None:
+        return warmth
     found = _axis(words, inside)
     if found is not None:
         return _triad_column(*found, inside)
-    if words == ["t"] and inside and unit_of(inside, "time") is None:  # a temperature, "T (°C)"
-        return OTHER
     if words[-3:] == ["sample", "time", "fine"]:  # of Xsens
         return ColumnName(quantity="time", unit="100us")
     if _TIME.intersection(words) or words in (["ms"], ["us"]):
@@ -131,6 +137,17 @@ def column_name(text: str) -> ColumnName:
             quantity="time", unit=unit_of(inside, "time") or unit_of(words[-1], "time") or _time_word(words)
         )
     return OTHER
+
+
+def _temperature(words: list[str], inside: str) -> ColumnName | None:
+    """Return what "temp_degC" and "T (°C)" are; None for what is no temperature."""
+    unit = unit_of(inside, "temperature")
+    if _TEMPERATURE.intersection(words):
+        last = max(i for i, word in enumerate(words) if word in _TEMPERATURE)
+        return ColumnName(quantity="temperature", unit=unit or unit_of("".join(words[last + 1 :]), "temperature"))
+    if words == ["t"] and inside and unit_of(inside, "time") is None:
+        return OTHER if unit is None else ColumnName(quantity="temperature", unit=unit)
+    return None
 
 
 def _axis(words: list[str], inside: str) -> tuple[int, list[str], list[str]] | None:
@@ -193,11 +210,13 @@ class Roles:
     time : columns of the stamp and their units: none, one, or two to be added (seconds and nanoseconds)
     triads : one or two, and the magnetometer behind them, or it alone
     notes : what was assumed
+    temperature : column of the thermometer, the first one, and its unit where the name tells it
     """
 
     time: tuple[tuple[int, str | None], ...]
     triads: tuple[TriadColumns, ...]
     notes: tuple[str, ...] = ()
+    temperature: tuple[int, str | None] | None = None
 
 
 def column_roles(layout: TextLayout, stated: str | None, where: str) -> Roles:
@@ -220,7 +239,7 @@ def column_roles(layout: TextLayout, stated: str | None, where: str) -> Roles:
         return _stated(layout, stated, where)
     if layout.header:
         names = [column_name(text) for text in layout.header]
-        if any(name.quantity not in {"time", "other"} for name in names):
+        if any(name.quantity not in {"time", "temperature", "other"} for name in names):
             return _named(names, layout, where, "the header")
         advice = columns_help(layout)
         raise RecordingError(
@@ -242,7 +261,7 @@ def _stated(layout: TextLayout, stated: str, where: str) -> Roles:
     if unknown:
         raise OptionError(
             f'columns "{stated}": "{unknown[0]}" is not known. '
-            "Write t, ax, ay, az, gx, gy, gz, mx, my, mz, or _ to skip a column."
+            "Write t, ax, ay, az, gx, gy, gz, mx, my, mz, temp, or _ to skip a column."
         )
     return _named(names, layout, where, "--columns")
 
@@ -272,7 +291,14 @@ def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str)
     if not triads:
         advice = columns_help(layout, quantities)
         raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {advice}")
-    return Roles(time=time_columns(names, layout), triads=tuple(named))
+    warmth = [(i, n.unit) for i, n in enumerate(names) if n.quantity == "temperature"]
+    notes = [f"{where}: several temperatures; the first one is used."] if len(warmth) > 1 else []
+    return Roles(
+        time=time_columns(names, layout),
+        triads=tuple(named),
+        notes=tuple(notes),
+        temperature=warmth[0] if warmth else None,
+    )
 
 
 def _with_gravity(columns: list[int], header: tuple[str, ...]) -> list[int]:

@@ -5,9 +5,12 @@
     magnetometer           (k, 3)  as measured; may be missing
     t_ns or t_s            (n,)    timestamps of all triads [ns, integer] or [s]
     t_accelerometer_ns, t_gyroscope_ns, t_magnetometer_ns (or _s)    where the triads have timestamps of their own
+    t_temperature_ns (or _s)    the same of the thermometer
+    temperature            (j,)    of the thermometer; may be missing
     rate_hz                ()      instead of timestamps
     unit_accelerometer     "m/s^2", "g", "mg" or "count"; recognised where it is missing
     unit_gyroscope         "rad/s", "deg/s", "mdeg/s" or "count"; recognised where it is missing
+    unit_temperature       "degC", "K", "degF" or "count"; recognised where it is missing
     unit_magnetometer      "uT", "nT", "T", "gauss", "mgauss" or "count"; recognised where it is missing
 
 Keys of a second IMU begin with "imu1.", such as "imu1.accelerometer", and so on; "imu0." may be left out.
@@ -18,7 +21,7 @@ Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g
 
 import zipfile
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +30,12 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
-from ...recording import Floats, Integers, measurable_numbers
-from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from ...recording import Floats, Integers, TemperatureSamples, measurable_numbers
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
 from ..zips import ZIP_DAMAGE, refuse_false_arrays
 from .column_names import column_name
 from .stamps import guess_time_unit, to_ns
-from .table import SampleTable, Triad, uniform_stamps
+from .table import SampleTable, Triad, temperature_samples, uniform_stamps
 
 _STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts")
 _PREFIXES = ("t", "time", "timestamp", "ts")
@@ -177,7 +180,29 @@ def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float |
         shared[len(values)] = t_ns
         triad = Triad(quantity=quantity, values=values, unit=None if unit is None else str(unit))
         tables.append(SampleTable(t_ns=t_ns, triads=(triad,), notes=tuple(notes)))
+    warmth = get("temperature")
+    if warmth is not None and tables:
+        t_ns = _stamps(get("t_temperature_ns"), get("t_temperature_s"), where)
+        t_ns = shared.get(len(warmth)) if t_ns is None else t_ns
+        temperature, note = _temperature(warmth, t_ns, get("unit_temperature"), where)
+        tables[0] = replace(tables[0], temperature=temperature, notes=(*tables[0].notes, note))
     return tables
+
+
+def _temperature(
+    values: NDArray[Any], t_ns: Integers | None, unit: NDArray[Any] | None, where: str
+) -> tuple[TemperatureSamples, str]:
+    numbers = values.dtype.kind in "fiu" and values.ndim == 1 and bool(measurable_numbers(values).all())
+    if not numbers or not len(values) or t_ns is None or len(t_ns) != len(values):
+        raise RecordingError(
+            f"{where}: temperature has shape {values.shape} and type {values.dtype}; expected (n,) numbers, with "
+            "timestamps t_temperature_ns, or those of a triad of as many samples."
+        )
+    if unit is not None and str(unit) not in TEMPERATURE_UNITS_DEGC:
+        raise RecordingError(
+            f'{where}: unit_temperature is "{unit}", expected one of {", ".join(TEMPERATURE_UNITS_DEGC)}.'
+        )
+    return temperature_samples(t_ns, values.astype(np.float64), None if unit is None else str(unit))
 
 
 def _values(raw: NDArray[Any], where: str) -> Floats:

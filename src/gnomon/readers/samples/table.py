@@ -1,13 +1,13 @@
 """Format "table": text with one row a sample. EuRoC, TUM-VI, Kalibr and imu_tk files are such tables, too."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...options import option_range
-from ...recording import Floats, Integers
+from ...recording import Floats, Integers, TemperatureSamples
 from ...units import Units
 from ..files import TextFile
 from .column_help import HELP, columns_help
@@ -66,12 +66,14 @@ class SampleTable:
     triads : see `Roles.triads`
     notes : what was assumed
     advice : what to do where a triad is missing
+    temperature : of the thermometer, where a column is named so
     """
 
     t_ns: Integers
     triads: tuple[Triad, ...]
     notes: tuple[str, ...]
     advice: str = HELP
+    temperature: TemperatureSamples | None = None
 
 
 def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units: Units) -> SampleTable:
@@ -87,7 +89,14 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     file = lines_as_table(file)
     layout = sniff_layout(file)
     used = column_roles(layout, columns, file.name)
-    data, cut = _parse(file, layout, used)
+    try:
+        data, cut = _parse(file, layout, used)
+    except RecordingError:
+        if used.temperature is None:
+            raise
+        note = f"{file.name}: the temperature is not a number in every row, and is left out."
+        used = replace(used, temperature=None, notes=(*used.notes, note))
+        data, cut = _parse(file, layout, used)
     count = len(data[0])
     if count < 2:
         raise RecordingError(f"{file.name}: found {count} row of data; a recording has many. Was it copied completely?")
@@ -106,9 +115,14 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
         triads.append(Triad(quantity=triad.quantity, values=values, unit=triad.unit))
     left = None if columns is not None or file.header else _left_columns(file.name, layout, used)
     notes = (*file.notes, *used.notes, *(text for text in (note, left, cut) if text))
+    temperature = None
+    if used.temperature is not None:
+        column, unit = used.temperature
+        temperature, said = temperature_samples(t_ns, data[column], unit)
+        notes = (*notes, said)
     only = [triad.quantity for triad in triads] == ["gyroscope"]
     advice = columns_help(layout, [column_name(name).quantity for name in layout.header]) if only else HELP
-    return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=notes, advice=advice)
+    return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=notes, advice=advice, temperature=temperature)
 
 
 def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column], str | None]:
@@ -116,6 +130,8 @@ def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column
     for triad in used.triads:
         for i in triad.columns:
             kinds[i] = "f8"
+    if used.temperature is not None:
+        kinds[used.temperature[0]] = "f8"
     stamps = [i for i, _ in used.time]
     for i in stamps:
         kinds[i] = stamp_kind([row[i] for row in layout.sample])
@@ -131,9 +147,25 @@ def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column
 def _left_columns(name: str, layout: TextLayout, used: Roles) -> str | None:
     """Return which named columns are not used, or None."""
     taken = {i for i, _ in used.time} | {i for triad in used.triads for i in triad.columns}
+    taken |= set() if used.temperature is None else {used.temperature[0]}
     left = [text for i, text in enumerate(layout.header) if i not in taken and text]
     listed = ", ".join(left[:_MOST_LISTED]) + (f" and {len(left) - _MOST_LISTED} more" if left[_MOST_LISTED:] else "")
     return f"{name}: columns that are not used: {listed}." if left else None
+
+
+_KELVIN, _CHIP = (220.0, 400.0), (-60.0, 130.0)
+"""What the median of a thermometer is where it counts in K, and where in degC."""
+
+
+def temperature_samples(t_ns: Integers, values: Floats, unit: str | None) -> tuple[TemperatureSamples, str]:
+    """Return a thermometer's readings, their unit recognised where it is not told, and what was assumed."""
+    if unit is not None:
+        return TemperatureSamples(t_ns=t_ns, values=values, unit=unit), f"temperature in {unit} (as the file says)."
+    middle = float(np.median(values))
+    kelvin, chip = (low <= middle <= high for low, high in (_KELVIN, _CHIP))
+    found = "K" if kelvin else "degC" if chip else "count"
+    note = f"temperature in {found} (its median is {middle:.4g}; the file does not say)."
+    return TemperatureSamples(t_ns=t_ns, values=values, unit=found), note
 
 
 def _made_stamps(file: TextFile, layout: TextLayout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
