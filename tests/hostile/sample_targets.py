@@ -13,7 +13,10 @@ import numpy as np
 from scipy.io import savemat
 
 import gnomon
+from gnomon.live.recorder import is_printable
+from gnomon.live.sources import PushSource
 from gnomon.readers.samples.stream import open_stream
+from gnomon.readers.samples.stream_text import ArrivingTable
 from gnomon.readers.samples.turntable_files import turntable_files
 from gnomon.units import Units
 from gpmf_files import payloads_of, telemetry_only
@@ -23,6 +26,20 @@ from .promise import Target
 
 SI = Units(accelerometer="m/s^2", gyroscope="rad/s", magnetometer="uT")
 NAMES = "timestamp [ns],wx [rad/s],wy,wz,ax [m/s^2],ay,az"
+
+
+PUSHED = (
+    b'{"payload": [{"name": "gyroscope", "time": 5, "values": {"x": 1, "y": 2, "z": 3}}, '
+    b'{"name": "totalacceleration", "time": 6, "values": {"x": 1.5, "y": 2.5, "z": 9.5}}]}'
+)
+
+
+def arrived(data: bytes) -> int:
+    """Return how many samples are in lines that arrive in two parts, as a guided capture takes them."""
+    lines = [line + b"\n" for line in data.split(b"\n") if is_printable(line)]
+    table = ArrivingTable("samples.log", b"".join(lines[:20]), Units())
+    blocks = [table.first, table.samples_in(b"".join(line for line in lines[20:] if table.is_row(line)))]
+    return sum(len(samples) for block in blocks for samples in block.values())
 
 
 @cache
@@ -202,6 +219,14 @@ SAMPLES: tuple[Target, ...] = (
     Target(
         name="stream-of-table", file="rec.csv", form="text", seeds=tables,
         read=lambda folder: streamed(folder / "rec.csv"),
+    ),
+    Target(
+        name="lines-that-arrive", file="rec.csv", form="text", seeds=tables,
+        read=lambda folder: arrived((folder / "rec.csv").read_bytes()),
+    ),
+    Target(
+        name="pushed-samples", file="push.json", form="json", seeds=lambda: [PUSHED],
+        read=lambda folder: PushSource().take_push((folder / "push.json").read_bytes()),
     ),
     Target(
         name="pair-of-tables", file="gyr.csv", form="text", seeds=lambda: [_one_triad(slice(3, 6))], read=_two,

@@ -19,17 +19,18 @@ from ..readers.samples.recognise import WITH_RESTS
 from ..readers.samples.sample_stream import TRIADS
 from ..readers.samples.table import Triad
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
+from ..results.trust import Need
 from ..units import Units
 from .faults import Fault, faults_of
 from .prospect import Prospect, look_ahead, rate_unit_of
 
 FIRST_REST_S = 20.0
 _HOLD_S = 2.0
-_WINDOW_S, _RECENT_S, _JUMP_S = 0.5, 3.0, 2.0
+_WINDOW_S, _RECENT_S, _JUMP_S = 0.5, 1.5, 2.0
 _STILL, _SHAKY = 10.0, 1e5  # times the level at rest, of s^2
 _TURNING = 8.0  # times the gyroscope's noise
 _FEWEST_RESTS = 12
-_LEVELS = 600
+_LEVELS, _FAR = 600, 1e9
 _SIDES = {  # of a box whose z axis points out of its face, x to its front and y to its left
     (0, 0, 1): "flat, face up",
     (0, 0, -1): "flat, face down",
@@ -104,6 +105,7 @@ class Coach:
         self._looked, self._shaky = False, 0
         self._rate_unit: float | None = None
         self._factors: dict[str, float] = {}
+        self._not_yet = ""
         self.state = CoachState()
 
     def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
@@ -115,7 +117,7 @@ class Coach:
     @property
     def samples(self) -> ImuSamples:
         """All samples so far, in units as a reader would tell them."""
-        return self._in_units(slice(None))
+        return self._in_units(None)
 
     def look_at_samples(self) -> CoachState:
         """Look at what came, and return what there is to say."""
@@ -137,8 +139,11 @@ class Coach:
         if (still_s >= _HOLD_S and not self._looked) or jumped:
             self._looked = still_s >= _HOLD_S
             self._look_ahead()
-        recent = self._in_units(slice(-max(2, round(_RECENT_S * rate_hz)), None))
-        faults = tuple(faults_of(recent, self._rate_unit, still=still_s > _WINDOW_S))
+        faults = tuple(faults_of(self._in_units(_RECENT_S), self._rate_unit, still=still_s > _WINDOW_S))
+        if self._not_yet and not self.state.confirmed:
+            faults += (
+                Fault(code="not-yet", text=f"A calibration of the recording so far is not enough: {self._not_yet}"),
+            )
         self.state = replace(self.state, faults=faults)
         self.state = replace(self.state, **self._said(spread))
         return self.state
@@ -150,7 +155,7 @@ class Coach:
         variance = window.var(axis=0) + quantisation_step(window) ** 2 / 12 + 1e-300
         self._levels = [*self._levels[-_LEVELS:], variance]
         level = np.quantile(np.array(self._levels), 0.1, axis=0)
-        spread = float(np.mean((variance / level) ** 2))
+        spread = float(np.mean(np.minimum(variance / level, _FAR) ** 2))
         rates = self._triads["gyroscope"].rows[1][-len(window) :]
         if len(rates) > 4:  # turned about the vertical, too
             noise = np.std(np.diff(rates, axis=0), axis=0) / np.sqrt(2) + 1e-300
@@ -173,31 +178,41 @@ class Coach:
         prospect = look_ahead(imu, self._use, self._factors)
         confirmed = False
         if prospect.needs and len(prospect.up) >= _FEWEST_RESTS and all(n.sigma <= n.needed for n in prospect.needs):
-            confirmed = self._confirm(imu, prospect)
+            confirmed, needs = self._confirmed(imu, prospect.needs)
+            prospect = replace(prospect, needs=needs)
         self.state = replace(self.state, prospect=prospect, confirmed=confirmed)
 
-    def _confirm(self, imu: ImuSamples, prospect: Prospect) -> bool:
-        """Calibrate what was recorded so far; where it does not serve, learn by how much more is needed."""
+    def _confirmed(self, imu: ImuSamples, foreseen: tuple[Need, ...]) -> tuple[bool, tuple[Need, ...]]:
+        """Return whether a calibration of the recording serves, and what it reached; learn from the difference."""
         try:
             calibration = calibrate_imu(Recording(imus={"imu0": imu})).calibration
-        except GnomonError:
-            return False
-        reached = {need.block: need.sigma for need in needs_of_use(calibration, self._use)}
-        for need in prospect.needs:
-            self._factors[need.block] = self._factors.get(need.block, 1.0) * reached.get(need.block, 0.0) / need.sigma
-        use = None if self._use.name == GENERAL else self._use
-        serves = all(need.verdict == "pass" for need in needs_of_use(calibration, self._use))
-        return serves and judge_for_use(calibration, use).verdict == "pass"
+        except GnomonError as error:
+            self._not_yet = str(error)
+            return False, foreseen
+        needs = needs_of_use(calibration, self._use)
+        reached = {need.block: need.sigma for need in needs}
+        for need in foreseen:
+            times = reached.get(need.block, need.sigma) / need.sigma
+            self._factors[need.block] = self._factors.get(need.block, 1.0) * times
+        judged = judge_for_use(calibration, None if self._use.name == GENERAL else self._use)
+        self._not_yet = next(
+            (finding.message for finding in judged.assessment.findings if finding.severity in {"problem", "warning"}),
+            "",
+        )
+        return judged.verdict == "pass" and all(need.verdict == "pass" for need in needs), needs
 
-    def _in_units(self, part: slice) -> ImuSamples:
+    def _in_units(self, last_s: float | None) -> ImuSamples:
+        """Return all samples, or those of the last seconds, in units as a reader would tell them."""
         streams: list[tuple[Integers, Triad] | None] = []
         for name in TRIADS:
             t_ns, values = self._triads[name].rows
-            unit = self._named.get(name) or (self._told.get(name) if part != slice(None) else None)
-            triad = Triad(quantity=name, values=values[part], unit=unit)
-            streams.append((t_ns[part], triad) if len(t_ns[part]) else None)
+            unit = self._named.get(name)
+            if last_s is not None and len(t_ns):
+                first = int(np.searchsorted(t_ns, t_ns[-1] - int(last_s * 1e9)))
+                t_ns, values, unit = t_ns[first:], values[first:], unit or self._told.get(name)
+            streams.append((t_ns, Triad(quantity=name, values=values, unit=unit)) if len(t_ns) else None)
         imu = samples_in_units((streams[0], streams[1], streams[2]), self._stated, WITH_RESTS, [])
-        if part == slice(None):  # of all samples it is told better than of the last few
+        if last_s is None:  # of all samples it is told better than of the last few
             self._told = {"accelerometer": imu.accelerometer.unit, "gyroscope": imu.gyroscope.unit}
         return imu
 

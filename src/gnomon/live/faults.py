@@ -20,7 +20,7 @@ _COARSE_M_S2, _COARSE_RAD_S = (
     0.03,
     1.4e-3,
 )  # of Chromium 0.1 and 0.0017; of 16 bits at +-16 g and +-2000 deg/s 0.005, 0.001
-_PLAUSIBLE = (0.7, 1.3)
+_PLAUSIBLE, _POSSIBLE = (0.7, 1.3), (0.5, 2.0)  # gravity at rest, and in motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,19 +63,20 @@ def faults_of(recent: ImuSamples, rate_unit: float | None, *, still: bool) -> It
         fastest = 0.0 if rate_unit is None else rate_unit * float(np.quantile(_size(gyroscope.values), 0.98))
         if fastest > _FAST_RAD * gyroscope.rate_hz:
             yield Fault(code="too-fast", text=f"Too fast ({np.degrees(fastest):.0f} deg/s): turn it more slowly.")
-    if still and force_unit is not None:
-        last = accelerometer.values[-_FEWEST:]
-        found = float(np.linalg.norm(last.mean(axis=0))) * force_unit / STANDARD_GRAVITY_M_S2
-        if found < _PLAUSIBLE[0]:
+    if force_unit is not None:
+        sizes = np.linalg.norm(accelerometer.values, axis=1)
+        found = float(np.median(sizes)) * force_unit / STANDARD_GRAVITY_M_S2
+        least, most = _PLAUSIBLE if still else _POSSIBLE
+        if found < least:
             yield Fault(
                 code="no-gravity",
-                text=f"The accelerometer shows {found:.2f} g at rest: gravity was removed, or the unit is another one. "
+                text=f"The accelerometer shows {found:.2f} g: gravity was removed, or the unit is another one. "
                 "Let the device send the acceleration with gravity.",
             )
-        elif found > _PLAUSIBLE[1]:
+        elif found > most:
             yield Fault(
                 code="not-gravity",
-                text=f"The accelerometer shows {found:.2f} g at rest: its unit is another one. State it with --units.",
+                text=f"The accelerometer shows {found:.2f} g: its unit is another one. State it with --units.",
             )
 
 
@@ -109,9 +110,12 @@ def _of_stamps(samples: TriadSamples, name: str) -> Iterator[Fault]:
 
 def _of_values(samples: TriadSamples, name: str) -> Iterator[Fault]:
     if float((np.diff(samples.values, axis=0) == 0).all(axis=1).mean()) > _REPEATED:
-        silent = not np.ptp(samples.values, axis=0).any()
-        text = "never changes: is it switched on?" if silent else "repeats its readings: it is slower than it is read."
-        yield Fault(code="silent" if silent else "repeated", text=f"The {name} {text}")
+        code, text = "repeated", "repeats its readings: it is slower than it is read."
+        if not np.ptp(samples.values, axis=0).any():
+            code, text = "silent", "never changes: is it switched on?"
+            if samples.values[-1].any():
+                code, text = "rounded", "reads one number all the time: it is rounded, or it has stopped."
+        yield Fault(code=code, text=f"The {name} {text}")
         return
     if np.count_nonzero(saturated_samples(samples)) >= _CLIPPED:
         why = "turn it more slowly" if name == "gyroscope" else "do not hit or shake it"

@@ -7,6 +7,7 @@ import numpy as np
 from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from ..results.calibration import ImuCalibration
+from ..results.sensors import rotate_imu
 from ..simulate.scenarios import Scenario
 from ..simulate.sensor import drawn_imu
 from ..simulate.trajectory import Motions, rotated_back, rotvec_quaternions
@@ -28,13 +29,15 @@ class SimulatedHand:
     Attributes
     ----------
     target : (3,) direction in the sensor that shall point up; None where anything will do
-    truth : of the sensor
+    truth : of the sensor, in body frame "accel-x"
     """
 
     def __init__(self, seed: int, scenario: Scenario | None = None) -> None:
         self._scenario = scenario or Scenario(rate_hz=200.0, g_sensitivity=3e-4)
         for_sensor, self._rng = np.random.default_rng(seed).spawn(2)
-        self.truth: ImuCalibration = drawn_imu(self._scenario, for_sensor)
+        drawn = drawn_imu(self._scenario, for_sensor)
+        upright, lower = np.linalg.qr(drawn.required_accelerometer.sensitivity.T)
+        self.truth: ImuCalibration = rotate_imu(drawn, (upright * np.sign(np.diag(lower))).T)
         self.target: Floats | None = None
         self.rate_hz = self._scenario.rate_hz
         self._count = 0

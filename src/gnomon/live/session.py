@@ -21,7 +21,7 @@ LOOK_S = 0.5
 _SILENT_S = 1.5
 _HEAD_LINES = 40
 _LONGEST_HEAD = 400
-_DAMAGED = 0.2
+_DAMAGED, _LOOKS = 0.2, 6
 _TRACE = 600
 
 
@@ -58,7 +58,7 @@ class LiveSession:
         self._pending: dict[str, list[bytes]] = {}
         self._arrived_s = time.monotonic()
         self._thread = threading.Thread(target=self._receive, daemon=True)
-        self._counts: deque[tuple[float, int, int]] = deque()
+        self._counts: deque[tuple[int, int]] = deque([(0, 0)], maxlen=_LOOKS)
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
@@ -95,6 +95,7 @@ class LiveSession:
         """Take what arrived since the last look, and return what there is to say."""
         self._take_pending()
         self.recorder.sync_files()
+        self._counts.append((self.recorder.written, self.recorder.damaged))
         state = self.coach.look_at_samples()
         if isinstance(self.source, SimulatedSource):
             self.source.hand.target = state.prospect.target
@@ -146,13 +147,9 @@ class LiveSession:
         found = [Fault(code="source", text=self.source.trouble)] if self.source.trouble else []
         if self.trouble:
             found.append(Fault(code="unread", text=self.trouble))
-        now = time.monotonic()
-        if now - self._arrived_s > _SILENT_S and not found:
+        if time.monotonic() - self._arrived_s > _SILENT_S and not found:
             found.append(Fault(code="silence", text="Nothing arrives: is the device sending? Check cable and rate."))
-        self._counts.append((now, self.recorder.written, self.recorder.damaged))
-        while now - self._counts[0][0] > 3.0:
-            self._counts.popleft()
-        written, damaged = (self._counts[-1][k] - self._counts[0][k] for k in (1, 2))
+        written, damaged = (self._counts[-1][k] - self._counts[0][k] for k in (0, 1))
         if damaged > _DAMAGED * (written + damaged):
             found.append(
                 Fault(

@@ -1,6 +1,7 @@
 """Where samples come from: each source yields the lines that a device sends, as they arrive."""
 
 import json
+import math
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -332,7 +333,7 @@ class PhyphoxSource(LiveSource):
             yield Arrival(",".join(["time [s]", *(f"{sensor} {axis} [{unit}]" for axis in "xyz")]).encode(), sensor)
             last[sensor] = since
         for row in zip(*columns, strict=False):
-            if None not in row and row[0] > last[sensor]:
+            if all(isinstance(value, float | int) and math.isfinite(value) for value in row) and row[0] > last[sensor]:
                 last[sensor] = row[0]
                 yield Arrival(",".join(repr(float(value)) for value in row).encode(), sensor)
 
@@ -373,7 +374,9 @@ class PushSource(LiveSource):
                 for name, t_ns, values in found
                 if name in _PUSHED and all(axis in values for axis in "xyz")
             ]
-        except (ValueError, KeyError, TypeError, AttributeError):
+            if not all(math.isfinite(value) and 0 <= t_ns < 1 << 63 for _, t_ns, xyz in rows for value in xyz):
+                raise ValueError("it holds what no sensor measures")  # noqa: TRY301
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             raise RecordingError("this is no document of Sensor Logger: payload, name, time, values.") from None
         arrivals: list[Arrival] = []
         for name, t_ns, xyz in sorted(rows, key=lambda row: row[1]):

@@ -1,0 +1,315 @@
+"""Guided capture, measured without hardware: a simulated hand, a pseudo-terminal, planted faults, kills.
+
+    python benchmarks/live.py hand --seeds 100 200      rests that guidance needs, and whether the result holds
+    python benchmarks/live.py serial --seconds 600      a pseudo-terminal at 1 kHz
+    python benchmarks/live.py faults                    planted faults and healthy captures
+    python benchmarks/live.py kill                      kill -9 at random moments
+    python benchmarks/live.py coach                     CPU time and memory of a long capture
+
+The hand turns the sensor to where it is asked to with 10 degrees of noise, pays no attention one time in five, and
+takes about 4 s a step. Unguided, it takes attitudes at random, and is told by the same rule when it is enough; the
+tutorial asks for 36 to 50.
+"""
+
+import argparse
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+import gnomon
+from gnomon.assess.needs import needs_of_use
+from gnomon.live.hand import SimulatedHand, imu_sentence
+from gnomon.live.prospect import look_ahead
+from gnomon.live.session import LiveSession
+from gnomon.live.sources import LiveSource, open_source
+from gnomon.options.requirements import USES
+from gnomon.results.calibration import calibration_parameters
+from gnomon.simulate import Scenario
+
+TUTORIAL = 36
+LONGEST_S = 400.0
+UPRIGHT = np.array([0, 0, 9.81, 0, 0, 0])
+
+
+class Silent(LiveSource):
+    """Sends nothing by itself."""
+
+    def arriving_lines(self, stop):
+        yield from ()
+
+
+def guided(folder, seed, use, *, obeys):
+    """Return the hand, the state at the end of a capture, and what is foreseen from it without any calibration."""
+    hand, session = SimulatedHand(seed), LiveSession(Silent(), folder, USES[use])
+    every = round(hand.rate_hz / 2)
+    for k, line in enumerate(hand.sample_lines(), 1):
+        session.take_line(line)
+        if k % every == 0:
+            state = session.look_at_arrivals()
+            hand.target = state.prospect.target if obeys else None
+            if state.confirmed or state.seconds > LONGEST_S:
+                break
+    session.end_recording()
+    return hand, state, look_ahead(session.coach.samples, USES[use])
+
+
+def study_hand(first, last):
+    for use in ("ahrs", "vio"):
+        rests, alone, seconds, ratios, worst, verdicts, unmet = [], [], [], [], [], Counter(), 0
+        for seed in range(first, last):
+            with tempfile.TemporaryDirectory() as place:
+                _, unguided, _ = guided(Path(place) / "u", seed, use, obeys=False)
+                hand, state, ahead = guided(Path(place) / "g", seed, use, obeys=True)
+                calibration = gnomon.calibrate_imu(gnomon.read(Path(place) / "g")).calibration
+            unmet += not state.confirmed
+            rests.append(len(state.prospect.up))
+            alone.append(len(unguided.prospect.up))
+            seconds.append(state.seconds)
+            reached = {need.block: need.sigma for need in needs_of_use(calibration, USES[use])}
+            ratios += [need.sigma / reached[need.block] for need in ahead.needs]
+            verdicts[gnomon.judge(calibration, use).verdict] += 1
+            pairs = zip(
+                calibration_parameters(calibration.imus), calibration_parameters({"imu0": hand.truth}), strict=True
+            )
+            errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
+            sigma = np.sqrt(np.diag(calibration.uncertainty.matrix))
+            worst.append(float(np.max(np.abs(errors[sigma > 0]) / sigma[sigma > 0])))
+            if len(rests) % 10 == 0:
+                print(f"  {use} {len(rests)}: {np.median(rests):.0f} rests", file=sys.stderr, flush=True)
+        low, high = np.quantile(ratios, [0.0, 1.0])
+        print(
+            f"{use}: {len(rests)} seeds; rests guided {np.median(rests):.0f} ({min(rests)} to {max(rests)}), at random "
+            f"{np.median(alone):.0f} ({min(alone)} to {max(alone)}), tutorial {TUTORIAL}; {np.median(seconds):.0f} s; "
+            f"verdicts {dict(verdicts)}, never confirmed {unmet}; largest error of 30 parameters "
+            f"{np.median(worst):.2f} sigma (median), {max(worst):.2f} (most), beyond 4: {sum(w > 4 for w in worst)}; "
+            f"foreseen over final sigma {low:.3f} to {high:.3f}",
+            flush=True,
+        )
+
+
+def study_serial(seconds, rate_hz=1000):
+    """Send a sentence each millisecond through a pseudo-terminal, pulled out and put back half-way."""
+    import tty
+
+    place = Path(tempfile.mkdtemp())
+    link = place / "port"
+
+    def plugged():
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.ttyname(slave))
+        return master, slave
+
+    master, slave = plugged()
+    session = LiveSession(open_source(f"serial:{link}@2000000"), place / "rec", USES["ahrs"])
+    session.begin_recording()
+    ended, looked = threading.Event(), []
+
+    def look():
+        while not ended.wait(0.5):
+            before = time.thread_time()
+            session.look_at_arrivals()
+            looked.append((time.thread_time() - before, [fault.code for fault in session.troubles()]))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    time.sleep(0.3)
+    os.write(master, b"rest of a line\n")
+    rng, sent, began = np.random.default_rng(0), 0, time.monotonic()
+    first_us = (1 << 32) - int(seconds * 0.3e6)  # micros() begins again on the way
+    plugs = 0
+    while (now := time.monotonic() - began) < seconds:
+        if now > seconds / 2 and not plugs:
+            plugs = 1
+            time.sleep(0.3)
+            os.close(master)
+            os.close(slave)
+            time.sleep(1.5)
+            master, slave = plugged()
+            time.sleep(1.5)
+            os.write(master, b"rest of a line\n")
+            began += 3.3
+            continue
+        due = int(now * rate_hz) - sent
+        lines = [
+            imu_sentence((first_us + 1000 * (sent + k)) % (1 << 32), tuple(rng.normal(0, 0.01, 6) + UPRIGHT))
+            for k in range(due)
+        ]
+        if sent % 20_000 < due:
+            os.write(master, b"noise\xff\x00\x80 of a plug\n$IMUSI,12,0.1,0.\n")
+        for k in range(0, len(lines), 25):
+            os.write(master, b"".join(line + b"\n" for line in lines[k : k + 25]))
+        sent += due
+        time.sleep(0.002)
+    time.sleep(1.0)
+    ended.set()
+    watcher.join()
+    session.end_recording()
+    os.close(master)
+    os.close(slave)
+    samples = gnomon.read(place / "rec").imus["imu0"].accelerometer
+    told = Counter(code for _, codes in looked for code in codes)
+    print(
+        f"serial: {sent} sent in {seconds:.0f} s, {len(samples)} read from the folder, {sent - len(samples)} lost; "
+        f"{session.recorder.damaged} damaged lines kept apart; told: {dict(told)}; stamps rise: "
+        f"{bool((np.diff(samples.t_ns) > 0).all())} over {samples.duration_s:.1f} s; coach "
+        f"{sum(cpu for cpu, _ in looked) / seconds:.3f} of a core, slowest look {max(cpu for cpu, _ in looked):.2f} s"
+    )
+
+
+def with_fault(name, hand, rng, from_s):
+    """Yield lines of a capture that goes wrong at `from_s`."""
+    before = (0.0,) * 6
+    for k, line in enumerate(hand.sample_lines()):
+        t, *v = (float(x) for x in line.split(b"*")[0].split(b",")[1:8])
+        if k >= from_s * hand.rate_hz:
+            if name == "dropped" and k % 40 < 8:
+                continue
+            if name == "throttled" and k % 8:
+                continue
+            if name == "saturated":
+                v[3] = float(np.clip(9.0 * np.sin(k / 40), -4.36, 4.36))
+            if name == "no-gravity":
+                v[:3] = rng.normal(0, 0.02, 3)
+            if name == "rounded":
+                v[:3] = [round(x, 1) for x in v[:3]]
+            if name == "silent":
+                v[3:] = [0.0] * 3
+            if name == "repeated" and k % 2:
+                v = before
+            if name == "too-fast":
+                v[4] = 30.0 * np.sin(k / 25)
+            if name == "shaking":
+                v[:3] = [x + 0.1 * np.sin(k / 5 + j) for j, x in enumerate(v[:3])]
+            if name == "clock-back":
+                t -= 3e6
+            if name == "damaged" and k % 2:
+                yield b"\x80\x01\xff\x00garbage"
+                continue
+        before = v
+        yield imu_sentence(int(t) % (1 << 32), tuple(v))
+
+
+def codes_of(session, state):
+    return {fault.code for fault in (*session.troubles(), *state.faults)} | ({state.phase} & {"shaking"})
+
+
+FAULTS = (
+    "dropped", "throttled", "saturated", "no-gravity", "rounded", "silent", "repeated", "too-fast", "shaking",
+    "clock-back", "damaged",
+)  # fmt: skip
+
+
+def study_faults(seeds=10, healthy=20):
+    for name in FAULTS:
+        delays = []
+        for seed in range(seeds):
+            rng = np.random.default_rng(seed)
+            from_s = float(rng.uniform(3, 12))
+            hand = SimulatedHand(seed)
+            with tempfile.TemporaryDirectory() as place:
+                session = LiveSession(Silent(), Path(place) / "rec", USES["ahrs"])
+                found = None
+                lines = with_fault(name, hand, rng, from_s)
+                for k, line in enumerate(islice(lines, round((from_s + 6) * hand.rate_hz)), 1):
+                    session.take_line(line)
+                    step = 12 if name == "throttled" and k > from_s * hand.rate_hz else 100
+                    if k % step == 0 and name in codes_of(session, session.look_at_arrivals()):
+                        found = session.coach.state.seconds - from_s
+                        break
+                session.end_recording()
+            delays.append(np.inf if found is None else max(found, 0.0))
+        print(f"fault {name}: named in {sum(d <= 3 for d in delays)} of {seeds} within 3 s, latest {max(delays):.1f} s")
+    told = Counter()
+    for seed in range(healthy):
+        hand = SimulatedHand(1000 + seed, Scenario(rate_hz=100.0 if seed % 2 else 200.0))
+        with tempfile.TemporaryDirectory() as place:
+            session = LiveSession(Silent(), Path(place) / "rec", USES["ahrs"])
+            every = round(hand.rate_hz / 2)
+            for k, line in enumerate(islice(hand.sample_lines(), round(60 * hand.rate_hz)), 1):
+                session.take_line(line)
+                if k % every == 0:
+                    state = session.look_at_arrivals()
+                    hand.target = state.prospect.target
+                    told.update(codes_of(session, state))
+            session.end_recording()
+    print(f"healthy: {healthy} captures of 60 s, false: {dict(told)}")
+
+
+def study_kill(times=50):
+    rng, least, shortest = np.random.default_rng(0), np.inf, np.inf
+    program = (
+        "import sys,time\nfrom pathlib import Path\nfrom gnomon.live.session import LiveSession\n"
+        "from gnomon.live.sources import open_source\nfrom gnomon.options.requirements import USES\n"
+        "s=LiveSession(open_source('simulate:1'),Path(sys.argv[1]),USES['ahrs'])\ns.begin_recording()\n"
+        "while True:\n s.look_at_arrivals(); print(s.recorder.written, flush=True); time.sleep(0.1)\n"
+    )
+    for _ in range(times):
+        with tempfile.TemporaryDirectory() as place:
+            process = subprocess.Popen([sys.executable, "-c", program, f"{place}/rec"], stdout=subprocess.PIPE)
+            process.stdout.readline()
+            time.sleep(rng.uniform(0.5, 3.0))
+            process.send_signal(signal.SIGKILL)
+            told = [int(line) for line in process.stdout.read().split()]
+            process.wait()
+            kept = len((Path(place) / "rec/samples.log").read_bytes().splitlines())
+            with suppress(gnomon.GnomonError):
+                kept_read = len(gnomon.read(f"{place}/rec").imus["imu0"].accelerometer)
+                least = min(least, kept_read - told[-1])
+            shortest = min(shortest, kept)
+    print(f"kill: {times} times; samples read beyond the last count told: {least} at least; fewest lines {shortest}")
+
+
+def study_coach(minutes):
+    hand = SimulatedHand(1)
+    with tempfile.TemporaryDirectory() as place:
+        session = LiveSession(Silent(), Path(place) / "rec", USES["vio"])
+        cpu, slowest, seconds = 0.0, 0.0, 60 * minutes
+        for k, line in enumerate(islice(hand.sample_lines(), round(seconds * hand.rate_hz)), 1):
+            session.take_line(line)
+            if k % 100 == 0:
+                before = time.process_time()
+                hand.target = session.look_at_arrivals().prospect.target
+                took = time.process_time() - before
+                cpu, slowest = cpu + took, max(slowest, took)
+            if k % round(60 * hand.rate_hz) == 0 and k // round(60 * hand.rate_hz) in (2, 5, 10, 20, 30):
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                share = cpu / (k / hand.rate_hz)
+                print(f"coach: {k / hand.rate_hz / 60:.0f} min at 200 Hz: {share:.3f} of a core, slowest look "
+                      f"{slowest:.2f} s, {peak:.0f} MB", flush=True)  # fmt: skip
+        session.end_recording()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("hand", "serial", "faults", "kill", "coach"))
+    parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    given = parser.parse_args()
+    if given.what == "hand":
+        study_hand(*given.seeds)
+    elif given.what == "serial":
+        study_serial(given.seconds)
+    elif given.what == "faults":
+        study_faults()
+    elif given.what == "kill":
+        study_kill()
+    else:
+        study_coach(given.minutes)
+
+
+if __name__ == "__main__":
+    main()
