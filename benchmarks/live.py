@@ -87,13 +87,13 @@ def study_hand(first, last):
             worst.append(float(np.max(np.abs(errors[sigma > 0]) / sigma[sigma > 0])))
             if len(rests) % 10 == 0:
                 print(f"  {use} {len(rests)}: {np.median(rests):.0f} rests", file=sys.stderr, flush=True)
-        low, high = np.quantile(ratios, [0.0, 1.0])
+        least, low, high, most = np.quantile(ratios, [0.0, 0.05, 0.95, 1.0])
         print(
             f"{use}: {len(rests)} seeds; rests guided {np.median(rests):.0f} ({min(rests)} to {max(rests)}), at random "
             f"{np.median(alone):.0f} ({min(alone)} to {max(alone)}), tutorial {TUTORIAL}; {np.median(seconds):.0f} s; "
             f"verdicts {dict(verdicts)}, never confirmed {unmet}; largest error of 30 parameters "
             f"{np.median(worst):.2f} sigma (median), {max(worst):.2f} (most), beyond 4: {sum(w > 4 for w in worst)}; "
-            f"foreseen over final sigma {low:.3f} to {high:.3f}",
+            f"foreseen over final sigma {low:.2f} to {high:.2f} (90 %), {least:.2f} to {most:.2f} (all)",
             flush=True,
         )
 

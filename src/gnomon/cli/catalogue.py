@@ -26,7 +26,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "noise": ("noise.Noise", "the noise of an IMU, from a long recording at rest"),
     },
     "prepare": {
-        "live": ("live.Live", "record an IMU with guidance on what to do next"),
+        "live": ("live.Live", "record a sensor with guidance on what to do next"),
         "check": ("check.Check", "what a recording holds, and what is wrong with it"),
         "plan": ("plan.Plan", "how well a recording of cameras and an IMU would calibrate them"),
         "plan-imu": ("plan.PlanImu", "how well a recording with rests would calibrate an IMU"),

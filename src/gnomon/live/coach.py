@@ -3,7 +3,8 @@
 samples -> still or moving -> after each rest: what the rests would tell -> one sentence, one target
 """
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,6 +32,8 @@ _STILL, _SHAKY = 10.0, 1e5  # times the level at rest, of s^2
 _TURNING = 8.0  # times the gyroscope's noise
 _FEWEST_RESTS = 12
 _LEVELS, _FAR = 600, 1e9
+_IDLE = 6.0  # times as long as a look at all rests took, until the next one
+_MORE = 1.2  # times as many rests before a calibration is tried again
 _SIDES = {  # of a box whose z axis points out of its face, x to its front and y to its left
     (0, 0, 1): "flat, face up",
     (0, 0, -1): "flat, face down",
@@ -95,6 +98,11 @@ class Coach:
     stated : units, as far as they are
     """
 
+    leading = "accelerometer"
+    """The triad that tells motion from rest."""
+    unwanted = "magnetometer"
+    """The stream that is not recorded: of a folder, gnomon's commands read two files."""
+
     def __init__(self, use: Use, stated: Units | None = None) -> None:
         self._use, self._stated = use, stated or Units()
         self._triads = {name: _Growing() for name in TRIADS}
@@ -105,7 +113,8 @@ class Coach:
         self._looked, self._shaky = False, 0
         self._rate_unit: float | None = None
         self._factors: dict[str, float] = {}
-        self._not_yet = ""
+        self._not_yet, self._tried = "", 0
+        self._rested_s, self._cost_s = 0.0, 0.0
         self.state = CoachState()
 
     def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
@@ -121,12 +130,11 @@ class Coach:
 
     def look_at_samples(self) -> CoachState:
         """Look at what came, and return what there is to say."""
-        accelerometer = self._triads["accelerometer"]
-        if accelerometer.count < 2:
+        t_ns, values = self._triads[self.leading].rows
+        if len(t_ns) < 2:
             return self.state
-        t_ns, values = accelerometer.rows
         seconds = float(t_ns[-1] - t_ns[0]) * 1e-9
-        rate_hz = (accelerometer.count - 1) / seconds if seconds > 0 else 0.0
+        rate_hz = (len(t_ns) - 1) / seconds if seconds > 0 else 0.0
         if seconds < 2 * _WINDOW_S:
             return self.state
         spread = self._spread(t_ns, values)
@@ -136,10 +144,12 @@ class Coach:
         self.state = replace(
             self.state, seconds=seconds, rate_hz=rate_hz, still_s=still_s, up=_direction(values, rate_hz)
         )
-        if (still_s >= _HOLD_S and not self._looked) or jumped:
+        if self._is_due(seconds, still_s) or jumped:
             self._looked = still_s >= _HOLD_S
+            before_s = time.thread_time()
             self._look_ahead()
-        faults = tuple(faults_of(self._in_units(_RECENT_S), self._rate_unit, still=still_s > _WINDOW_S))
+            self._rested_s, self._cost_s = seconds, time.thread_time() - before_s
+        faults = tuple(self._faults(still=still_s > _WINDOW_S))
         if self._not_yet and not self.state.confirmed:
             faults += (
                 Fault(code="not-yet", text=f"A calibration of the recording so far is not enough: {self._not_yet}"),
@@ -147,6 +157,10 @@ class Coach:
         self.state = replace(self.state, faults=faults)
         self.state = replace(self.state, **self._said(spread))
         return self.state
+
+    def _is_due(self, seconds: float, still_s: float) -> bool:
+        """Return whether to look at all rests again: after each of them, but most of the time goes to other things."""
+        return still_s >= _HOLD_S and not self._looked and seconds - self._rested_s >= _IDLE * self._cost_s
 
     def _spread(self, t_ns: Integers, values: Floats) -> float:
         """Return s^2 of the last half second, over its level at rest."""
@@ -164,6 +178,10 @@ class Coach:
             spread = max(spread, _STILL * float(moved.max()) / _TURNING)
         return spread
 
+    def _faults(self, *, still: bool) -> Iterator[Fault]:
+        """Yield what is wrong with the last samples."""
+        yield from faults_of(self._in_units(_RECENT_S), self._rate_unit, still=still)
+
     def _notice_rest(self, seconds: float, *, still: bool) -> None:
         if not still:
             self._still_from, self._looked = None, False
@@ -176,8 +194,10 @@ class Coach:
             return
         self._rate_unit = rate_unit_of(imu)
         prospect = look_ahead(imu, self._use, self._factors)
-        confirmed = False
-        if prospect.needs and len(prospect.up) >= _FEWEST_RESTS and all(n.sigma <= n.needed for n in prospect.needs):
+        confirmed, rests = self.state.confirmed, len(prospect.up)
+        met = prospect.needs and all(need.sigma <= need.needed for need in prospect.needs)
+        if met and not confirmed and rests >= max(_FEWEST_RESTS, _MORE * self._tried):
+            self._tried = rests
             confirmed, needs = self._confirmed(imu, prospect.needs)
             prospect = replace(prospect, needs=needs)
         self.state = replace(self.state, prospect=prospect, confirmed=confirmed)

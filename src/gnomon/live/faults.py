@@ -11,7 +11,7 @@ from ..recording import Floats, ImuSamples, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 
 _SLOW_HZ = 80.0
-_FEWEST = 20
+_FEWEST, _WHOLE = 20, 0.05
 _GAP = 3.5  # periods
 _REPEATED = 0.3
 _CLIPPED = 3
@@ -123,7 +123,12 @@ def _of_values(samples: TriadSamples, name: str) -> Iterator[Fault]:
 
 
 def _coarse(samples: TriadSamples, unit: float | None, limit: float, name: str) -> Iterator[Fault]:
-    step = np.nan_to_num(smallest_steps(samples.values)).max() * (unit or 0.0)
-    if step > limit:
+    steps = np.nan_to_num(smallest_steps(samples.values))
+    step = steps.max() * (unit or 0.0)
+    if step <= limit:
+        return
+    axis = int(np.argmax(steps))
+    counts = np.diff(samples.values[:, axis]) / steps[axis]
+    if np.abs(counts - np.rint(counts)).max() < _WHOLE:  # a fast motion makes large steps, too, but no whole ones
         text = f"The {name} arrives rounded to {step:.2g} {'m/s^2' if name[0] == 'a' else 'rad/s'}: let the device send"
         yield Fault(code="rounded", text=f"{text} all digits. Web browsers round; an app of its own does not.")

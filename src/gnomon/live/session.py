@@ -34,6 +34,7 @@ class LiveSession:
     folder : to record in
     use : what the sensor is for
     units, columns, rate_hz : what the lines do not say about themselves
+    coach : which kind of
     """
 
     def __init__(
@@ -45,9 +46,10 @@ class LiveSession:
         units: Units | None = None,
         columns: str | None = None,
         rate_hz: float | None = None,
+        coach: type[Coach] = Coach,
     ) -> None:
         self.source, self.recorder = source, Recorder(folder)
-        self.coach = Coach(use, units)
+        self.coach = coach(use, units)
         self.trouble = ""
         self.stopped = threading.Event()
         self.trace: deque[list[float]] = deque(maxlen=_TRACE)
@@ -82,6 +84,8 @@ class LiveSession:
 
     def take_line(self, line: bytes, stream: str = "") -> None:
         """Record a line, and keep it for the coach."""
+        if stream and stream == self.coach.unwanted:
+            return
         table = self._tables.get(stream)
         if not is_printable(line) or (table is not None and not table.is_row(line)):
             self.recorder.record_damaged(line)
@@ -135,7 +139,7 @@ class LiveSession:
 
     def _keep_trace(self, blocks: "dict[str, Any]") -> None:
         """Keep some of the samples for the page."""
-        a, g = (blocks.get(name) for name in ("accelerometer", "gyroscope"))
+        a, g = (blocks.get(name) for name in (self.coach.leading, "gyroscope"))
         if a is None or not len(a):
             return
         for k in range(0, len(a), max(1, len(a) // 12)):

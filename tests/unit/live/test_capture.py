@@ -14,6 +14,7 @@ from gnomon.assess.needs import needs_of_use
 from gnomon.errors import OutputError
 from gnomon.live.coach import words_of_attitude
 from gnomon.live.hand import SimulatedHand, imu_sentence
+from gnomon.live.other_coaches import MagnetometerCoach, NoiseCoach
 from gnomon.live.recorder import Recorder
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import LiveSource
@@ -177,6 +178,7 @@ KILLED = """
 import sys, time
 from pathlib import Path
 from gnomon.live.hand import SimulatedHand
+from gnomon.live.other_coaches import MagnetometerCoach, NoiseCoach
 from gnomon.live.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]))
 for k, line in enumerate(SimulatedHand(1).sample_lines()):
@@ -199,3 +201,29 @@ def test_what_was_recorded_survives_a_kill(tmp_path):
     lines = (tmp_path / "rec/samples.log").read_bytes().splitlines()
     assert len(lines) > last
     assert len(gnomon.read(tmp_path / "rec").imus["imu0"].accelerometer) >= len(lines) - 1
+
+
+def test_a_magnetometer_is_turned_until_all_directions_were_seen(tmp_path):
+    recording, _ = gnomon.simulate_magnetometer(gnomon.FieldScenario(), 1)
+    magnetometer = recording.imus["imu0"].magnetometer
+    session = LiveSession(Silent(), tmp_path / "rec", USES["ahrs"], coach=MagnetometerCoach)
+    session.take_line(b"time [ns],mx [uT],my,mz")
+    targets = []
+    for k, (t_ns, row) in enumerate(zip(magnetometer.t_ns.tolist(), magnetometer.values.tolist(), strict=True)):
+        session.take_line(f"{t_ns},{','.join(map(repr, row))}".encode())
+        if k % 50 == 49:
+            state = session.look_at_arrivals()
+            targets.append(state.prospect.target)
+            assert not state.faults
+    session.end_recording()
+    assert len(state.prospect.up) > 20
+    assert any(target is not None for target in targets)
+    assert state.confirmed == (state.prospect.target is None)
+
+
+def test_a_sensor_that_is_touched_is_left_alone_for_longer(tmp_path):
+    session, hand = LiveSession(Silent(), tmp_path / "rec", USES["ahrs"], coach=NoiseCoach), SimulatedHand(1)
+    said = follow(session, hand, 26)
+    assert "180 min" in said[10][0].advice
+    assert "touched" not in said[-12][0].advice
+    assert "touched at 2" in said[-1][0].advice

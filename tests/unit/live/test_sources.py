@@ -17,6 +17,7 @@ import pytest
 import gnomon
 from gnomon.errors import OptionError, RecordingError
 from gnomon.live.hand import SimulatedHand
+from gnomon.live.other_coaches import MagnetometerCoach
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import PushSource, open_source
 from gnomon.options.requirements import USES
@@ -218,3 +219,16 @@ def test_a_missing_file_is_waited_for(tmp_path):
     source = open_source(f"tail:{Path(tmp_path) / 'none'}")
     assert collected(source, 1, 0.2) == []
     assert "not there" in source.trouble
+
+
+def test_a_magnetometer_of_its_own_rate_is_recorded_so_that_it_is_read_again(tmp_path):
+    recording, _ = gnomon.simulate_magnetometer(gnomon.FieldScenario(), 1)
+    save_recording(recording, tmp_path / "first.npz")
+    source = open_source(f"replay:{tmp_path / 'first.npz'}@100000")
+    session = LiveSession(source, tmp_path / "rec", USES["ahrs"], coach=MagnetometerCoach)
+    session.begin_recording()
+    wait_for(lambda: bool(source.trouble))
+    session.end_recording()
+    again, first = gnomon.read(tmp_path / "rec").imus["imu0"], recording.imus["imu0"]
+    assert np.array_equal(again.magnetometer.values, first.magnetometer.values)
+    assert np.array_equal(again.accelerometer.values, first.accelerometer.values)

@@ -4,14 +4,16 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ..command import Command, Flat, ForUse, PosesInput, Report, TableOptions, output_option
+from ..command import Command, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
 from ..inputs import read_use_option
 from ..output_folder import default_folder
 from ..parsing.arguments import Argument
 from ..terminal import Terminal
 from .imu import Imu
+from .magnetometer import Magnetometer
+from .noise import Noise
 
 if TYPE_CHECKING:
     from ...live.server import LivePage
@@ -20,11 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Live(Command):
-    """Record an IMU with guidance: what to do next, how much is known already, and what is wrong, as it happens.
+    """Record a sensor with guidance: what to do next, how much is known already, and what is wrong, as it happens.
 
     Sources are serial:PORT[@BAUD], tail:FILE (which another program writes), udp:PORT, phyphox:HOST, http (Sensor
     Logger on a phone), replay:RECORDING[@SPEED], and simulate[:SEED], which needs no sensor. A page in the browser
-    shows which way to turn the sensor. Control-C, or Stop on the page, ends the recording, and gnomon imu calibrates.
+    shows which way to turn the sensor. Control-C, or Stop on the page, ends the recording, and gnomon imu (or
+    magnetometer, or noise) works on the recording.
 
     Examples
     --------
@@ -33,7 +36,7 @@ class Live(Command):
     $ gnomon live imu tail:log.txt --no-browser -o monday
     """
 
-    what: Annotated[Literal["imu"], Argument(positional=True)]
+    what: Annotated[Literal["imu", "magnetometer", "noise"], Argument(positional=True)]
     """What is to be calibrated."""
     source: Annotated[str, Argument(positional=True)]
     """Where the samples come from, such as serial:/dev/ttyUSB0@500000."""
@@ -53,6 +56,8 @@ class Live(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Record until it is stopped, calibrate what was recorded, and return the exit code."""
+        from ...live.coach import Coach
+        from ...live.other_coaches import MagnetometerCoach, NoiseCoach
         from ...live.session import LiveSession
         from ...live.sources import open_source
         from ...options.requirements import GENERAL_IMU
@@ -62,7 +67,9 @@ class Live(Command):
         units = None if self.table.units is None else Units.parse(self.table.units)
         source = open_source(self.source, units)
         table = self.table
-        session = LiveSession(source, self.output, use, units=units, columns=table.columns, rate_hz=table.rate)
+        coach = {"imu": Coach, "magnetometer": MagnetometerCoach, "noise": NoiseCoach}[self.what]
+        reading: Any = {"units": units, "columns": table.columns, "rate_hz": table.rate}
+        session = LiveSession(source, self.output, use, coach=coach, **reading)
         page = self._open_page(session, terminal)
         session.begin_recording()
         try:
@@ -71,14 +78,22 @@ class Live(Command):
         finally:
             session.end_recording()
         terminal.print(f"recorded     {session.recorder.written} lines in {self.output}")
-        paths = (self.output,)
-        recorded = PosesInput(paths=paths, columns=table.columns, rate=table.rate, units=table.units)
-        shared = {name: getattr(self, name) for name in ("json", "quiet", "verbose", "log")}
         try:
-            return Imu(recording=recorded, use=self.use, report=self.report, **shared).run(terminal)
+            return self._ordinary_command().run(terminal)
         finally:
             if page is not None:
-                page.show_result(default_folder(paths, "imu") / "report.html")
+                page.show_result(default_folder((self.output,), self.what) / "report.html")
+
+    def _ordinary_command(self) -> Command:
+        """Return the command that calibrates what was recorded."""
+        table: Any = {"columns": self.table.columns, "rate": self.table.rate, "units": self.table.units}
+        shared: Any = {name: getattr(self, name) for name in ("json", "quiet", "verbose", "log", "report")}
+        if self.what == "imu":
+            return Imu(recording=PosesInput(paths=(self.output,), **table), use=self.use, **shared)
+        recording = Input(path=self.output, **table)
+        if self.what == "magnetometer":
+            return Magnetometer(recording=recording, use=self.use, **shared)
+        return Noise(recording=recording, **shared)
 
     def _open_page(self, session: "LiveSession", terminal: Terminal) -> "LivePage | None":
         from ...live.sources import PushSource

@@ -9,6 +9,7 @@ from ...errors import OptionError, RecordingError
 _LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
 _SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
 _ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
+_MAGNETOMETER = re.compile(r"magn", re.IGNORECASE)
 
 
 def recording_files(paths: Sequence[str | Path]) -> list[Path]:
@@ -46,6 +47,9 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
     pair = accelerometer_and_gyroscope(files)
     if pair is not None:
         return pair
+    magnetometer = [path for path in files if _MAGNETOMETER.search(path.name)]
+    if len(files) == 2 and len(magnetometer) == 1 and any(_ACCELEROMETER.search(path.name) for path in files):
+        return files[0], files[1]
     if len(files) == 1:
         return (files[0],)
     if not files:
