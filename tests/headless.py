@@ -100,6 +100,7 @@ class Browser:
 
 MEASURE = """(() => {
   const root = document.documentElement;
+  document.querySelectorAll("details").forEach((folded) => { folded.open = true; });
   const plots = [...document.querySelectorAll("svg.plot")];
   return {
     inner: window.innerWidth, scroll: root.scrollWidth, client: root.clientWidth,

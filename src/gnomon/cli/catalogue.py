@@ -35,6 +35,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "use": {
         "show": ("show.Show", "a calibration as tables with standard deviations"),
+        "certificate": ("certificate.Certificate", "page one of a result's report as a PDF"),
         "apply": ("show.Apply", "correct a recording with a calibration"),
         "convert": ("convert.Convert", "write a calibration or recording in another format"),
         "compare": ("compare.Compare", "calibrations of one rig, made by any program"),

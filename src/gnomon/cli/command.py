@@ -1,9 +1,10 @@
 """What the commands share: annotations of their options, and what a recording does not say about itself."""
 
+import datetime
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -98,6 +99,37 @@ class FromScenario(Command):
 
         path = values.get(("scenario",))
         return {"options": read_options(path, cls.scenario_type)} if path else {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateFacts:
+    """What a certificate says of the sensor and of the measurement; kept with the result."""
+
+    sensor: str | None = None
+    """Name of the sensor, for the certificate."""
+    serial: str | None = None
+    """Its serial number."""
+    date: Annotated[str | None, Argument(metavar="YYYY-MM-DD")] = None
+    """Date of the measurement; the clock is never asked, so that a second run gives the same bytes."""
+    operator: str | None = None
+    """Who measured."""
+    place: str | None = None
+    """Where it was measured."""
+    temperature_c: float | None = None
+    """Temperature of the measurement in degrees Celsius."""
+
+    def __post_init__(self) -> None:
+        if self.temperature_c is not None and not -273.15 <= self.temperature_c < 1e4:
+            raise OptionError(f"temperature-c {self.temperature_c} is no temperature in degrees Celsius.")
+        try:
+            datetime.date.fromisoformat(self.date or "2000-01-01")
+        except ValueError:
+            raise OptionError(f"date {self.date!r} is no date. Write it as 2026-03-31.") from None
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The same as a mapping; None for what was not stated."""
+        return {field.name: getattr(self, field.name) for field in fields(CertificateFacts)}
 
 
 @dataclass(frozen=True, kw_only=True)

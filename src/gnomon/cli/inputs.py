@@ -135,7 +135,7 @@ def judged_result(result: "Result", use: "Use | None") -> "Result":
 
 
 def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
-    """Return a result whose calibration remembers how its recording was read, where the recording did not tell."""
+    """Return a result whose calibration remembers what was stated of its recording, such as how it was read."""
     stated = {name: str(value) for name, value in table.items() if value is not None}
     calibration = result.calibration
     provenance = replace(calibration.provenance, options={**calibration.provenance.options, **stated})

@@ -42,7 +42,9 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         _use(calibration),
         provenance_section(calibration.provenance),
     )
-    return calibration_page("Camera-IMU calibration", calibration, _key_numbers(calibration, diagnostics), parts)
+    plots = ("residuals", "coverage", "cameras")
+    numbers = _key_numbers(calibration, diagnostics)
+    return calibration_page("Camera-IMU calibration", calibration, numbers, parts, plots)
 
 
 def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> tuple[KeyNumber, ...]:

@@ -46,7 +46,8 @@ def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> R
         cameras_use_section(calibration),
         provenance_section(calibration.provenance),
     )
-    return calibration_page("Camera calibration", calibration, _key_numbers(calibration, fit, curves, spreads), parts)
+    numbers = _key_numbers(calibration, fit, curves, spreads)
+    return calibration_page("Camera calibration", calibration, numbers, parts, ("coverage", "residuals", "lens"))
 
 
 def _lenses(

@@ -23,7 +23,19 @@ from ..results.sensor_noise import (
 from .drawing.figures import AXES, Sheet, draw_envelope, log_limits, set_y_limits
 from .drawing.panel import DASHED, Panel
 from .numbers import finite_values, highest_finite, number_text, quantity_text, si_prefix, with_sigma
-from .page import Code, Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
+from .page import (
+    Code,
+    Figure,
+    KeyNumber,
+    Legend,
+    Prose,
+    ReportPage,
+    ReportTable,
+    Section,
+    lift_figures,
+    render_page,
+    typeset_finding,
+)
 from .sections import provenance_section
 
 _HEADLINES = {
@@ -58,6 +70,7 @@ def noise_page(result: NoiseResult) -> ReportPage:
     noise = result.noise
     names = ", ".join(source.name for source in noise.provenance.inputs) or "recording from memory"
     sections = [_coefficients(result), *(_curves(result, sensor) for sensor in noise.triads)]
+    figures, folded = lift_figures(sections, tuple(noise.triads))
     return ReportPage(
         title="Noise of an IMU",
         subject=names,
@@ -65,8 +78,9 @@ def noise_page(result: NoiseResult) -> ReportPage:
         headline=_HEADLINES[noise.verdict],
         key_numbers=_key_numbers(result),
         findings=tuple(typeset_finding(finding) for finding in noise.findings if finding.code != "assumed"),
-        sections=(*sections, _conventions(), _use(), provenance_section(noise.provenance)),
+        sections=(*folded, _conventions(), _use(), provenance_section(noise.provenance)),
         footer=f"Made by gnomon {noise.provenance.gnomon_version}. This file needs no network and no other file.",
+        front=figures,
     )
 
 

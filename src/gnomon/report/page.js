@@ -1,6 +1,13 @@
 "use strict";
 // Zoom and pan: every figure changes its viewBox and nothing else, so that the page is whole without this script.
 document.querySelector(".hint").hidden = false;
+const unfold = () => {
+  const section = document.getElementById(location.hash.slice(1));
+  section?.querySelector("details")?.setAttribute("open", "");
+};
+addEventListener("hashchange", unfold);
+unfold();
+document.querySelectorAll("nav a").forEach((link) => link.addEventListener("click", () => setTimeout(unfold)));
 document.querySelectorAll("svg.plot").forEach((svg) => {
   const home = svg.getAttribute("viewBox").split(" ").map(Number);
   const view = home.slice();

@@ -5,7 +5,7 @@ A kind of calibration (imu.py) fills in the values below; the template page.html
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -42,7 +42,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One line of the parameter table; texts are formatted, `sigma` is empty for what is fixed."""
+    """One line of the parameter table; texts are formatted, `sigma` and `expanded` (two sigma) empty for the fixed."""
 
     name: str
     value: str
@@ -51,6 +51,7 @@ class Parameter:
     reads_as: str = ""
     note: str = ""
     bar: Bar | None = None
+    expanded: str = ""
 
 
 def parameter_line(
@@ -64,7 +65,8 @@ def parameter_line(
     sign: bool = False,
 ) -> Parameter:
     """Return the line of a number with its standard deviation, which says how many digits are shown."""
-    return Parameter(name, *with_sigma(float(value), float(sigma), sign=sign), unit, reads_as, note)
+    texts = with_sigma(float(value), float(sigma), sign=sign)
+    return Parameter(name, *texts, unit, reads_as, note, expanded=with_sigma(float(value), 2 * float(sigma))[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +163,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportPage:
-    """A whole report."""
+    """A whole report; `front` stands on page one, which is the certificate, and the sections are folded below it."""
 
     title: str
     subject: str
@@ -171,6 +173,20 @@ class ReportPage:
     findings: tuple[Finding, ...]
     sections: tuple[Section, ...]
     footer: str
+    front: tuple[Block, ...] = ()
+
+
+def lift_figures(sections: Iterable[Section], anchors: Sequence[str]) -> tuple[tuple[Figure, ...], tuple[Section, ...]]:
+    """Take the first figure out of each of these sections, in their order, and return them and what is left."""
+    left = {section.anchor: section for section in sections}
+    lifted: list[Figure] = []
+    for anchor in anchors:
+        blocks = left[anchor].blocks if anchor in left else ()
+        figure = next((block for block in blocks if isinstance(block, Figure)), None)
+        if figure is not None:
+            lifted.append(figure)
+            left[anchor] = replace(left[anchor], blocks=[block for block in blocks if block is not figure])
+    return tuple(lifted), tuple(section for section in left.values() if section.blocks)
 
 
 def typeset_finding(finding: Finding) -> Finding:

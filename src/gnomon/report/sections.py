@@ -1,11 +1,12 @@
 """Sections that reports of several kinds share, and their words."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from ..recording import Floats
 from ..results.calibration import Calibration, Gravity, ImuCalibration, Provenance
+from .certificate import certificate_tables
 from .numbers import number_text, readable_unit
-from .page import Code, KeyNumber, Prose, ReportPage, ReportTable, Section, typeset_finding
+from .page import Code, KeyNumber, Prose, ReportPage, ReportTable, Section, lift_figures, typeset_finding
 
 HEADLINES = {
     "pass": "This calibration is good to use.",
@@ -46,10 +47,18 @@ def aligned_matrix(name: str, values: Floats, digits: int = 9) -> str:
 
 
 def calibration_page(
-    title: str, calibration: Calibration, key_numbers: tuple[KeyNumber, ...], sections: Iterable[Section | None]
+    title: str,
+    calibration: Calibration,
+    key_numbers: tuple[KeyNumber, ...],
+    sections: Iterable[Section | None],
+    plots: Sequence[str] = (),
 ) -> ReportPage:
-    """Return the page of a calibration; sections that there is nothing to say in are None."""
+    """Return the page of a calibration; the first figures of the sections in `plots` stand on page one.
+
+    Sections that there is nothing to say in are None.
+    """
     made_by = calibration.provenance.gnomon_version
+    figures, folded = lift_figures((section for section in sections if section is not None), plots)
     return ReportPage(
         title=title,
         subject=", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory",
@@ -57,7 +66,8 @@ def calibration_page(
         headline=HEADLINES[calibration.verdict],
         key_numbers=key_numbers,
         findings=tuple(typeset_finding(f) for f in calibration.assessment.findings if f.code != "assumed"),
-        sections=tuple(section for section in sections if section is not None),
+        sections=folded,
+        front=(*certificate_tables(calibration), *figures),
         footer=f"Made by gnomon {made_by}. This file needs no network and no other file.",
     )
 

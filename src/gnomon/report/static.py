@@ -64,7 +64,7 @@ def static_page(
         imu_use_section(calibration),
         provenance_section(calibration.provenance),
     )
-    return calibration_page(title, calibration, numbers, sections)
+    return calibration_page(title, calibration, numbers, sections, ("directions", "accelerometer", "gyroscope"))
 
 
 def _title(diagnostics: ImuDiagnostics | TriadDiagnostics) -> str:

@@ -12,6 +12,7 @@ from ...units import Units
 from ..command import (
     Cache,
     CamFile,
+    CertificateFacts,
     Command,
     FileOption,
     Flat,
@@ -22,7 +23,7 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, refuse_overwriting
+from ..inputs import files_beside, refuse_overwriting, result_with_reading
 from ..output_folder import CAMERA_FILES, default_folder, result_folder
 from ..parsing.arguments import Argument
 from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
@@ -78,6 +79,7 @@ class CameraCommand(Command):
     """A program that shall read the result: kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis or ros2; the lens
     model is then chosen among those that it knows."""
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
     options: Annotated[CameraOptions, Flat] = field(default_factory=CameraOptions)
 
     def __post_init__(self) -> None:
@@ -127,6 +129,7 @@ class CameraCommand(Command):
             print_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
             among = self.options.among if self.program is None else refit_models(self.program)
             result = calibrate_cameras(recording, board, replace(self.options, among=among), progress=terminal.progress)
+            result = result_with_reading(result, self.certificate.stated)
             terminal.progress("writing the result")
             save_camera_files(result, board, staging)
             write_result(result, staging, report=self.report, terminal=terminal)

@@ -12,6 +12,7 @@ from ...units import Units
 from ..command import (
     Cache,
     CamFile,
+    CertificateFacts,
     Command,
     FileOption,
     Flat,
@@ -24,7 +25,7 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting
+from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting, result_with_reading
 from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
 from ..parsing.arguments import Argument
 from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
@@ -81,6 +82,7 @@ class CameraImu(Command):
     imu.yaml and results-imucam.txt (default: NAME-camera-imu beside the recording)."""
     use: ForUse = None
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
     options: Annotated[CameraImuOptions, Flat] = field(default_factory=CameraImuOptions)
 
     def __post_init__(self) -> None:
@@ -147,7 +149,7 @@ class CameraImu(Command):
             result = calibrate_camera_imu(
                 recording, target, options, progress=terminal.progress, prior=known.calibrations
             )
-            result = judged_result(result, use)
+            result = result_with_reading(judged_result(result, use), self.certificate.stated)
             terminal.progress("writing the result")
             save_camera_imu_files(result, recording, target, staging)
             write_result(result, staging, report=self.report, terminal=terminal)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from ...options import ImuOptions
 from ...simulate import Scenario
 from ..command import (
+    CertificateFacts,
     Command,
     Flat,
     ForUse,
@@ -57,6 +58,7 @@ class Imu(Command):
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-imu beside the recording)."""
     use: ForUse = None
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
     options: Annotated[ImuOptions, Flat] = field(default_factory=ImuOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -79,7 +81,7 @@ class Imu(Command):
         with result_folder(folder, "imu") as staging:
             options = replace(self.options, prior=known.stated)
             result = calibrate_imu(recordings, options, progress=terminal.progress, prior=known.calibrations)
-            result = result_with_reading(judged_result(result, use), source.table)
+            result = result_with_reading(judged_result(result, use), source.table | self.certificate.stated)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = summary_lines(result.calibration)
         return print_result(result.calibration, lines, folder, assumptions, terminal, source=source)

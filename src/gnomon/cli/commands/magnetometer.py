@@ -6,7 +6,7 @@ from typing import Annotated
 
 from ...options import MagnetometerOptions
 from ...simulate import FieldScenario
-from ..command import Command, Flat, ForUse, Input, Report, Seed, output_option
+from ..command import CertificateFacts, Command, Flat, ForUse, Input, Report, Seed, output_option
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
 from ..output_folder import default_folder, result_folder
 from ..results import print_assumptions, print_result, write_result
@@ -33,6 +33,7 @@ class Magnetometer(Command):
     recording)."""
     use: ForUse = None
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
     options: Annotated[MagnetometerOptions, Flat] = field(default_factory=MagnetometerOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -52,7 +53,7 @@ class Magnetometer(Command):
             print_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
             options = replace(self.options, prior=known.stated)
             result = calibrate_magnetometer(recording, options, progress=terminal.progress, prior=known.calibrations)
-            result = result_with_reading(judged_result(result, use), source.table)
+            result = result_with_reading(judged_result(result, use), source.table | self.certificate.stated)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = magnetometer_lines(result)
         return print_result(result.calibration, lines, folder, recording.assumptions, terminal, source=source)

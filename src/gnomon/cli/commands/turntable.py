@@ -11,7 +11,7 @@ from ...options import TurntableOptions
 from ...simulate.platter_scenario import PlatterScenario
 from ...simulate.scenarios import TurntableScenario
 from ...units import Units, parse_rate
-from ..command import Command, Flat, ForUse, Report, Seed, output_option
+from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
 from ..output_folder import default_folder, result_folder, truth_name
 from ..parsing.arguments import Argument
@@ -56,6 +56,7 @@ class Turntable(Command):
     recording)."""
     use: ForUse = None
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
     options: Annotated[TurntableOptions, Flat] = field(default_factory=TurntableOptions)
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class Turntable(Command):
                 rate_of=rate_of,
                 videos=videos,
             )
-            result = result_with_reading(judged_result(result, use), table)
+            result = result_with_reading(judged_result(result, use), table | self.certificate.stated)
             write_result(result, staging, report=self.report, terminal=terminal)
         return print_result(result.calibration, _summary_lines(result), folder, assumptions, terminal)
 

@@ -1,0 +1,112 @@
+"""The certificate of a stored calibration as a PDF of one page (A4)."""
+
+import io
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import OptionError
+from ..findings import printable_text
+from ..output import write_whole
+from ..results.calibration import Calibration
+from .certificate import certificate_tables
+from .page import ReportTable, typeset_finding
+from .sections import HEADLINES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_WIDTH, _HEIGHT = 8.27, 11.69
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.09, 0.91, 0.955, 0.05
+_LINE = 0.0148
+"""Height of a line of text, in heights of the page."""
+_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0)}
+"""Number of columns -> where they begin, or end where they hold numbers, in widths of the text."""
+_INK, _MUTED = "#17202a", "#57636f"
+_TONES = {"pass": "#1a6b3c", "warn": "#8a5a00", "fail": "#b3261e"}
+_SIZE, _SMALL = 9.0, 7.8
+
+
+def write_certificate(calibration: Calibration, path: str | Path) -> None:
+    """Write the certificate of a calibration; the same calibration gives the same bytes.
+
+    Raises
+    ------
+    OptionError
+        If Matplotlib is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise OptionError(
+            'A certificate needs Matplotlib, which is not installed: pip install "gnomon[certificate]".'
+        ) from None
+    stream = io.BytesIO()
+    with rc_context({"font.family": "DejaVu Sans", "pdf.fonttype": 42, "text.parse_math": False}):
+        figure = Figure(figsize=(_WIDTH, _HEIGHT))
+        _Sheet(figure).fill(calibration)
+        figure.savefig(stream, format="pdf", metadata={"CreationDate": None, "Title": "Calibration certificate"})
+    write_whole(path, stream.getvalue())
+
+
+class _Sheet:
+    """Writes from the top of the page to its bottom."""
+
+    def __init__(self, figure: "Figure") -> None:
+        self._figure, self._y = figure, _TOP
+
+    def fill(self, calibration: Calibration) -> None:
+        """Write everything: verdict and findings, tables, inputs."""
+        verdict, provenance = calibration.verdict, calibration.provenance
+        self._text("Calibration certificate", size=18, bold=True, step=2.2)
+        self._text(f"{verdict.capitalize()}. {HEADLINES[verdict]}", size=12, color=_TONES[verdict], bold=True, step=1.8)
+        pressing = [f for f in calibration.assessment.findings if f.severity in ("warning", "problem")]
+        for finding in pressing[:4]:
+            self._wrapped(f"{finding.severity}: {typeset_finding(finding).message}")
+        if len(pressing) > 4:
+            self._wrapped(f"{len(pressing) - 4} more findings are in the report.")
+        for table in certificate_tables(calibration):
+            self._table(table)
+        self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
+        for source in provenance.inputs[:5]:
+            self._wrapped(f"Input {source.name}, SHA-256 {source.sha256}")
+        self._wrapped(f"Made by gnomon {provenance.gnomon_version}, method {provenance.method}.")
+
+    def _table(self, table: ReportTable) -> None:
+        self._y -= 0.6 * _LINE
+        self._text(table.title, size=11, bold=True, step=1.3)
+        rows = [row for row in (table.head, *table.rows) if any(row)]
+        for k, row in enumerate(rows):
+            chosen = table.marked is not None and k == table.marked + 1
+            for column, (place, cell) in enumerate(zip(_COLUMNS[len(row)], row, strict=True)):
+                number = column > 0 and len(row) > 2
+                color = _MUTED if row is table.head else _INK
+                self._put(cell, place, align="right" if number else "left", color=color, bold=chosen)
+            self._y -= _LINE
+        if table.caption:
+            self._wrapped(table.caption)
+
+    def _wrapped(self, text: str) -> None:
+        for line in textwrap.wrap(text, 112):
+            self._text(line, size=_SMALL, color=_MUTED, step=0.85)
+
+    def _text(self, text: str, *, size: float, color: str = _INK, bold: bool = False, step: float = 1.0) -> None:
+        self._put(text, 0.0, size=size, color=color, bold=bold)
+        self._y -= step * _LINE
+
+    def _put(
+        self,
+        text: str,
+        place: float,
+        *,
+        size: float = _SIZE,
+        color: str = _INK,
+        bold: bool = False,
+        align: str = "left",
+    ) -> None:
+        x = _LEFT + place * (_RIGHT - _LEFT)
+        weight = "bold" if bold else "normal"
+        self._figure.text(x, self._y, printable_text(text), size=size, color=color, weight=weight, ha=align, va="top")

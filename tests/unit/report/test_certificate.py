@@ -1,0 +1,80 @@
+"""Page one: what was stated, U = 2 sigma, and the PDF of a stored result."""
+
+import re
+import sys
+from dataclasses import replace
+
+import pytest
+
+from gnomon.cli.command import CertificateFacts
+from gnomon.cli.inputs import result_with_reading
+from gnomon.errors import OptionError
+from gnomon.report import write_report
+from gnomon.report.certificate import certificate_tables
+from gnomon.report.certificate_pdf import write_certificate
+from gnomon.report.page import parameter_line
+from html_page import Page
+
+FACTS = CertificateFacts(sensor="BMI270 <3>", serial="A-17", date="2026-03-31", temperature_c=21.5)
+
+
+@pytest.fixture
+def stated(make_result):
+    return result_with_reading(make_result(), FACTS.stated)
+
+
+def test_what_was_stated_stands_on_page_one_and_sections_are_folded(stated, tmp_path):
+    write_report(stated, tmp_path / "report.html")
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    front = Page(html).text.split("Signals and static detector")[0]
+    for words in ("BMI270 <3>", "A-17", "2026-03-31", "21.5 °C", "U = 2σ", "Accelerometer bias: bias x"):
+        assert words in front.replace("\u00a0", " "), words
+    assert "Operator" not in front
+    one = html.split('class="folded"')[0]
+    assert one.count("<figure>") == 3
+    assert "<details open" not in html
+    assert html.count('class="folded"') == html.count("<details>") - one.count("<details>")
+
+
+def test_the_expanded_uncertainty_is_twice_sigma():
+    row = parameter_line("bias x", 0.0822, 0.00011, "m/s²")
+    assert (row.sigma, row.expanded) == ("0.00011", "0.00022")
+    assert parameter_line("fixed", 1.0, 0.0, "").expanded == ""
+
+
+def test_the_marked_criterion_is_the_verdict(make_result):
+    for k, verdict in enumerate(("pass", "warn", "fail")):
+        table = certificate_tables(make_result(verdict=verdict).calibration)[-1]
+        assert table.rows[table.marked][0] == verdict
+        assert table.marked == k
+
+
+def test_shares_of_the_budget_are_of_the_variance(make_result):
+    calibration = make_result().calibration
+    trust = replace(calibration.assessment.trust, covariance="cluster-robust", sigma_ratio={"a": 2.0, "b": 0.9})
+    calibration = replace(calibration, assessment=replace(calibration.assessment, trust=trust))
+    rows = next(t for t in certificate_tables(calibration) if "comes from" in t.title).rows
+    assert [[float(cell[:-2]) for cell in row[1:]] for row in rows] == [[25, 75], [100, 0]]
+
+
+@pytest.mark.parametrize("facts", [{"date": "31.3.2026"}, {"date": "2026-02-30"}, {"temperature_c": float("nan")}])
+def test_facts_that_cannot_be_are_refused(facts):
+    with pytest.raises(OptionError, match=r"no date|no temperature"):
+        CertificateFacts(**facts)
+
+
+def test_the_pdf_is_one_page_and_the_same_bytes_again(stated, tmp_path):
+    pytest.importorskip("matplotlib")
+    for name in ("a.pdf", "b.pdf"):
+        write_certificate(stated.calibration, tmp_path / name)
+    content = (tmp_path / "a.pdf").read_bytes()
+    assert content == (tmp_path / "b.pdf").read_bytes()
+    assert len(re.findall(rb"/Type /Page\b", content)) == 1
+    assert b"CreationDate" not in content
+
+
+def test_a_missing_library_is_named_with_its_extra(stated, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(OptionError, match=r"gnomon\[certificate\]"):
+        write_certificate(stated.calibration, tmp_path / "c.pdf")
+    assert not (tmp_path / "c.pdf").exists()
