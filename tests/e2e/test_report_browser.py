@@ -99,3 +99,32 @@ def test_everything_can_be_read_without_scripts(browser, report):
     assert browser.evaluate("document.querySelectorAll('svg.plot').length") == 6
     # The script makes figures focusable; here it never ran.
     assert browser.evaluate("document.querySelectorAll('svg.plot[tabindex]').length") == 0
+
+
+def test_values_stand_under_the_pointer_and_at_the_edges_of_a_zoomed_figure(browser, report):
+    browser.open(report, width=1440, height=900)
+    browser.evaluate("document.documentElement.style.scrollBehavior = 'auto'")
+    told = browser.evaluate("""(() => {
+      const group = [...document.querySelectorAll("[data-panel]")].find((g) => g.dataset.panel.split(" ")[7] === "1"
+        && g.dataset.panel.split(" ")[6] === "0" && g.closest("figure").checkVisibility());
+      const svg = group.closest("svg");
+      svg.scrollIntoView({block: "center"});
+      const [left, top, width, height, low, high] = group.dataset.panel.split(" ").map(Number);
+      const box = svg.getBoundingClientRect(), home = svg.getAttribute("viewBox").split(" ").map(Number);
+      const event = { clientX: box.left + (left + width / 2) / home[2] * box.width,
+                      clientY: box.top + (top + height / 2) / home[3] * box.height };
+      svg.dispatchEvent(new PointerEvent("pointermove", event));
+      const value = svg.nextElementSibling.textContent;
+      for (let k = 0; k < 3; k++) svg.dispatchEvent(new KeyboardEvent("keydown", { key: "+" }));
+      const ticks = [...svg.querySelectorAll(".ticks text")].map((t) => t.textContent.replace("\\u2212", "-"));
+      svg.dispatchEvent(new KeyboardEvent("keydown", { key: "0" }));
+      return { value, middle: (low + high) / 2, span: high - low, low, high, ticks,
+               after: svg.querySelectorAll(".ticks text").length };
+    })()""")
+    assert float(told["value"].split()[1].replace("\u2212", "-")) == pytest.approx(
+        told["middle"], abs=2e-3 * abs(told["span"])
+    )
+    assert len(told["ticks"]) >= 4
+    assert any(told["low"] < float(tick) < told["high"] for tick in told["ticks"])
+    assert told["after"] == 0
+    assert browser.problems() == []

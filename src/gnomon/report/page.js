@@ -14,11 +14,58 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
   const touches = new Map();
   svg.tabIndex = 0;
 
+  // What the places of each panel stand for: shares of its box -> numbers of its scales.
+  const panels = [...svg.querySelectorAll("[data-panel]")].map((g) => {
+    const [left, top, width, height, ...ends] = g.dataset.panel.split(" ").map(Number);
+    const scale = ([low, high, log, known]) => known && {
+      at: (share) => log ? low * (high / low) ** share : low + (high - low) * share,
+      step: Math.abs(high - low), log,
+    };
+    return { left, top, width, height, x: scale(ends.slice(0, 4)), y: scale(ends.slice(4)) };
+  });
+  const text = (value, step) => Math.abs(value) < 1e-9 * step ? "0" : String(Number(value.toPrecision(5))).replace("-", "\u2212");
+  const readout = document.createElement("p");
+  readout.className = "readout";
+  svg.after(readout);
+  const say = (x, y) => {
+    const place = [view[0] + x * view[2], view[1] + y * view[3]];
+    const panel = panels.find((p) => place[0] >= p.left && place[0] <= p.left + p.width && place[1] >= p.top && place[1] <= p.top + p.height);
+    const u = panel && (place[0] - panel.left) / panel.width, v = panel && (panel.top + panel.height - place[1]) / panel.height;
+    const parts = panel ? [["x", panel.x, u], ["y", panel.y, v]].filter(([, scale]) => scale) : [];
+    readout.textContent = parts.map(([name, scale, share]) => `${name} ${text(scale.at(share), scale.step)}`).join("   ");
+  };
+  // A zoomed figure has ticks of its own along the edges of what is seen.
+  const ticks = document.createElementNS(svg.namespaceURI, "g");
+  ticks.setAttribute("class", "ticks");
+  svg.append(ticks);
+  const tick = (label, x, y) => {
+    const element = document.createElementNS(svg.namespaceURI, "text");
+    element.setAttribute("x", x);
+    element.setAttribute("y", y);
+    element.textContent = label;
+    ticks.append(element);
+  };
+  const mark = () => {
+    ticks.replaceChildren();
+    if (zoom() <= 1.001) return;
+    for (const p of panels) {
+      const x = [Math.max(view[0], p.left), Math.min(view[0] + view[2], p.left + p.width)];
+      const y = [Math.max(view[1], p.top), Math.min(view[1] + view[3], p.top + p.height)];
+      if (x[0] >= x[1] || y[0] >= y[1]) continue;
+      for (const share of [0.2, 0.4, 0.6, 0.8]) {
+        const u = x[0] + share * (x[1] - x[0]), v = y[0] + share * (y[1] - y[0]);
+        if (p.x) tick(text(p.x.at((u - p.left) / p.width), p.x.step), u, y[1] - 0.012 * view[3]);
+        if (p.y) tick(text(p.y.at((p.top + p.height - v) / p.height), p.y.step), x[0] + 0.045 * view[2], v);
+      }
+    }
+  };
+
   const zoom = () => home[2] / view[2];
   const show = () => {
     svg.setAttribute("viewBox", view.join(" "));
     svg.style.setProperty("--plot-zoom", zoom());
     svg.classList.toggle("zoomed", zoom() > 1.001);
+    mark();
   };
   const inside = () => {
     for (const i of [0, 1]) view[i] = Math.min(Math.max(view[i], home[i]), home[i] + home[i + 2] - view[i + 2]);
@@ -58,7 +105,9 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
     touches.set(event.pointerId, point(event.clientX, event.clientY));
     if (event.pointerType === "mouse" || touches.size > 1) svg.setPointerCapture(event.pointerId);
   });
+  svg.addEventListener("pointerleave", () => { readout.textContent = ""; });
   svg.addEventListener("pointermove", (event) => {
+    say(...point(event.clientX, event.clientY));
     const before = touches.get(event.pointerId);
     if (!before) return;
     const now = point(event.clientX, event.clientY);

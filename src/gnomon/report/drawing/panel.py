@@ -247,7 +247,7 @@ class Panel:
     def svg(self, name: str) -> str:
         """Return all of it as an SVG element; `name` is unique on the page."""
         parts = [
-            f'<g><clipPath id="{name}">{self._clip()}</clipPath>',
+            f'<g{self._numbers()}><clipPath id="{name}">{self._clip()}</clipPath>',
             self._grid(),
             *(self._drawn(shape, name) for shape in (*self._areas, *self._lines)),
             self._frame(),
@@ -258,6 +258,14 @@ class Panel:
             element = svg.text_element(text, *at, style)
             parts.append(f'<g class="fine">{element}</g>' if fine else element)
         return "".join([*parts, "</g>"])
+
+    def _numbers(self) -> str:
+        """Return the attribute that tells page.js which numbers places stand for: box, then low, high, log, known."""
+        if self.rim is not None:
+            return ""
+        box = (self._left, self._top, self._width, self._height)
+        ends = [(s.low, s.high, s.logarithmic, s.labelled and bool(s.marks())) for s in (self.x, self.y)]
+        return f' data-panel="{" ".join(f"{value:.9g}" for value in (*box, *ends[0], *ends[1]))}"'
 
     def _clip(self) -> str:
         if self.rim is None:
