@@ -54,9 +54,9 @@ Results go to standard output, progress and errors to standard error. Tedaldi 20
 |---|---|
 | 0 | finished, and usable (verdict pass or warn) |
 | 2 | wrong usage: an option that does not exist or makes no sense |
-| 3 | bad input, or a place that cannot be written; nothing was written |
+| 3 | bad input, or a place that cannot be written; nothing was written; for `verify`: the recording cannot tell |
 | 4 | finished, but the verdict says do not use; for `check`: a problem was found; \
-for `compare`: two calibrations contradict each other; \
+for `compare`: two calibrations contradict each other; for `verify`: the calibration has moved; \
 for `plan`, `plan-imu`: such a recording would not do |
 | 1 | a bug in gnomon (please report it; `GNOMON_DEBUG=1` shows where) |
 | 130, 143, 129 | interrupted (Ctrl-C), asked to end (SIGTERM), terminal closed (SIGHUP); nothing half-written is left |
@@ -115,9 +115,11 @@ _SECTIONS = {
         "load_foreign",
         "convert",
         "compare",
+        "verify",
         "write_report",
         "write_noise_report",
         "write_comparison_report",
+        "write_verification_report",
         "simulate",
         "simulate_camera_imu",
         "simulate_cameras",

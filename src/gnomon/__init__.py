@@ -24,6 +24,7 @@ from .simulate import simulate
 if TYPE_CHECKING:
     from .assess.checks.doctor import check
     from .assess.comparison.comparison import Comparison
+    from .assess.comparison.verification import Verification
     from .calibrate import (
         calibrate_camera_imu,
         calibrate_cameras,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     )
     from .calibrate.comparison import compare
     from .calibrate.planning import PlanResult
+    from .calibrate.verification import verify
     from .detect.platter.rate import PlatterRate
     from .findings import Finding
     from .formats.conversion import convert
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     from .report import write_report
     from .report.comparison import write_comparison_report
     from .report.noise import write_noise_report
+    from .report.verification import write_verification_report
     from .results.calibration import (
         AccelerometerCalibration,
         Calibration,
@@ -131,6 +134,9 @@ _HOMES = {
     "read_hardware": "calibrate",
     "check": "assess.checks.doctor",
     "compare": "calibrate.comparison",
+    "verify": "calibrate.verification",
+    "Verification": "assess.comparison.verification",
+    "write_verification_report": "report.verification",
     **dict.fromkeys(
         (
             "CameraImuPlan",
@@ -229,6 +235,7 @@ __all__ = [
     "TurntableScenario",
     "Units",
     "Use",
+    "Verification",
     "__version__",
     "calibrate_camera_imu",
     "calibrate_cameras",
@@ -260,9 +267,11 @@ __all__ = [
     "simulate_magnetometer",
     "simulate_poses",
     "simulate_turntable",
+    "verify",
     "write_comparison_report",
     "write_noise_report",
     "write_report",
+    "write_verification_report",
 ]
 
 

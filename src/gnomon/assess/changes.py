@@ -24,7 +24,7 @@ _CERTAIN = 3.0
 """Sigmas from which on a quantity of a block that changed counts as changed itself."""
 
 _COLUMNS, _ROWS = 16, 12
-_OF_HEADING = 2.0
+OF_HEADING = 2.0
 """Error of a heading over that of the field's direction, where the field dips by 60 deg."""
 
 
@@ -52,26 +52,39 @@ _CURES = {
     "accelerometer_scale": _WARM,
     "heading": "Keep iron, magnets and cables away from the sensor, or fix them to it",
 }
-_SCALES: Mapping[str, _Scale] = {
-    name: _Scale(
-        words=QUANTITIES[name].words,
-        unit=QUANTITIES[name].unit,
-        size=QUANTITIES[name].size,
-        needed=(_GENERAL | _OTHERS)[name],
-        cure=_CURES.get(name, _FASTEN),
-    )
-    for name in QUANTITIES
-    if name in _GENERAL or name in _OTHERS
-} | {
-    "lens": _Scale(
-        words="lens of {sensor} (rms over the image)",
-        unit="px",
-        size=1.0,
-        needed=0.25,
-        cure="Fix zoom, focus and crop of the camera, turn off autofocus and stabilisation, and check that all images "
-        "are of one camera",
-    ),
-}
+_SCALES: Mapping[str, _Scale] = (
+    {
+        name: _Scale(
+            words=QUANTITIES[name].words,
+            unit=QUANTITIES[name].unit,
+            size=QUANTITIES[name].size,
+            needed=(_GENERAL | _OTHERS)[name],
+            cure=_CURES.get(name, _FASTEN),
+        )
+        for name in QUANTITIES
+        if name in _GENERAL or name in _OTHERS
+    }
+    | {
+        f"{triad}_bias": _Scale(
+            words=QUANTITIES[f"{triad}_bias"].words,
+            unit=QUANTITIES[f"{triad}_bias"].unit,
+            size=QUANTITIES[f"{triad}_bias"].size,
+            needed=0.0,
+            cure=_WARM,
+        )
+        for triad in ("accelerometer", "gyroscope")
+    }
+    | {
+        "lens": _Scale(
+            words="lens of {sensor} (rms over the image)",
+            unit="px",
+            size=1.0,
+            needed=0.25,
+            cure="Fix zoom, focus and crop of the camera, turn off autofocus and stabilisation, and check that all "
+            "images are of one camera",
+        ),
+    }
+)
 """Quantity -> how it is told. A lens that is off by a quarter of a pixel is worse than any good detector."""
 
 
@@ -124,7 +137,7 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
     """
     for place in dict.fromkeys((change.block, change.where) for change in changes):
         own = [change for change in changes if (change.block, change.where) == place]
-        needed = [_needed(change, use) for change in own]
+        needed = [needed_of(change, use) for change in own]
         grades = [
             grade_value(change.size, need, (10.0 if use is None else use.fails_at) * need) if need else "good"
             for change, need in zip(own, needed, strict=True)
@@ -152,11 +165,21 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         )
 
 
-def _needed(change: QuantityChange, use: Use | None) -> float:
+def needed_of(change: QuantityChange, use: Use | None) -> float:
     """Return what is needed of a quantity [SI]; zero where a use does not ask for it."""
     if use is None or change.quantity not in QUANTITIES:
         return _SCALES[change.quantity].needed
     return use.needs.get(change.quantity, 0.0)
+
+
+def unit_of(quantity: str) -> tuple[str, float]:
+    """Return the unit in which a quantity is told, and one of it [SI, px]."""
+    return _SCALES[quantity].unit, _SCALES[quantity].size
+
+
+def told_with_cure(change: QuantityChange, needed: float, use: Use | None) -> tuple[str, str]:
+    """Return a change in words beside what is needed, and what to do about it."""
+    return _told(change, needed, use), _SCALES[change.quantity].cure
 
 
 def _told(change: QuantityChange, needed: float, use: Use | None) -> str:
@@ -205,7 +228,7 @@ def _sizes(
         triad = rest.partition(".")[0]
         matrix = getattr(calibration.imus[sensor], triad).sensitivity
         if triad == "magnetometer":
-            yield "heading", *_largest(change, _OF_HEADING * np.kron(np.eye(3), np.linalg.inv(matrix).T))
+            yield "heading", *_largest(change, OF_HEADING * np.kron(np.eye(3), np.linalg.inv(matrix).T))
             return
         rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
         relative = 1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)
@@ -219,7 +242,7 @@ def _sizes(
         magnetometer = calibration.imus[sensor].magnetometer
         assert magnetometer is not None
         field = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
-        yield "heading", *_largest(change, _OF_HEADING / field * invert_matrix(magnetometer.sensitivity))
+        yield "heading", *_largest(change, OF_HEADING / field * invert_matrix(magnetometer.sensitivity))
     elif rest.endswith(".g_sensitivity"):
         matrix = getattr(calibration.imus[sensor], rest.partition(".")[0]).sensitivity
         yield "gyroscope_g_sensitivity", *_largest(change, np.diag(1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)))
@@ -273,16 +296,30 @@ def _place(name: str, count: int) -> int:
 
 
 def _in_image(camera: Camera, change: ParameterChange) -> tuple[float, float]:
-    """Return how far points of the image move, rms over it, and the standard deviation of that [px]."""
+    place = {name: k for k, name in enumerate(camera.parameter_names)}
+    columns = [place[name.partition(".")[2]] for name in change.names]
+    return lens_movement(camera, change.values, change.covariance, columns)[:2]
+
+
+def lens_movement(
+    camera: Camera, values: Floats, covariance: Floats, columns: Sequence[int] | None = None
+) -> tuple[float, float, float]:
+    """Return how far points of the image move, rms over it, the standard deviation of that, and its largest [px].
+
+    Parameters
+    ----------
+    values, covariance : (k,), (k, k) change of parameters
+    columns : which parameters these are; all where not given
+    """
     width, height = camera.resolution
     x, y = np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, _ROWS)
     rays, seen = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     image = camera.project(np.where(seen[:, None], rays, [0.0, 0.0, 1.0]), parameters_jacobian=True)
     assert image.by_parameters is not None
-    place = {name: k for k, name in enumerate(camera.parameter_names)}
-    columns = [place[name.partition(".")[2]] for name in change.names]
-    slopes = image.by_parameters[seen & image.valid][:, :, columns]  # (n, 2, k)
+    slopes = image.by_parameters[seen & image.valid]  # (n, 2, k)
+    slopes = slopes if columns is None else slopes[:, :, columns]
     gram = np.einsum("nik,nil->kl", slopes, slopes) / max(len(slopes), 1)
-    size = float(np.sqrt(max(change.values @ gram @ change.values, 0.0)))
-    along = gram @ change.values / max(size, 1e-300)
-    return size, float(np.sqrt(max(along @ change.covariance @ along, 0.0)))
+    size = float(np.sqrt(max(values @ gram @ values, 0.0)))
+    along = gram @ values / max(size, 1e-300)
+    spread = float(np.sqrt(max(np.trace(gram @ covariance), 0.0)))
+    return size, float(np.sqrt(max(along @ covariance @ along, 0.0))), spread

@@ -39,6 +39,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "apply": ("show.Apply", "correct a recording with a calibration"),
         "convert": ("convert.Convert", "write a calibration or recording in another format"),
         "compare": ("compare.Compare", "calibrations of one rig, made by any program"),
+        "verify": ("verify.Verify", "whether a calibration still holds, by a fresh recording"),
     },
     "try": {
         "demo": ("imu.Demo", "calibrate a simulated recording, and compare it with the truth"),

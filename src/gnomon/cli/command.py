@@ -120,7 +120,7 @@ class CertificateFacts:
 
     def __post_init__(self) -> None:
         if self.temperature_c is not None and not -273.15 <= self.temperature_c < 1e4:
-            raise OptionError(f"temperature-c {self.temperature_c} is no temperature in degrees Celsius.")
+            raise OptionError(f"temperature_c {self.temperature_c} is no temperature in degrees Celsius.")
         try:
             datetime.date.fromisoformat(self.date or "2000-01-01")
         except ValueError:

@@ -177,7 +177,7 @@ def test_the_report_is_complete_and_the_same_every_time(tmp_path, gyroscope):
     write_noise_report(result, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_bytes() == content
     page = Page(content.decode())
-    order = ["Pass. This noise is good to use", "Coefficients", "white noise N", "Accelerometer", "Allan deviation",
+    order = ["Pass. This noise is good to use", "Allan deviation", "Coefficients", "white noise N", "Accelerometer",
              "What it is made of", "What the numbers mean", "gnomon camera-imu", "Provenance", "a.npz"]  # fmt: skip
     place = 0
     for words in order:

@@ -131,6 +131,12 @@ def _described(candidate: ComparisonCandidate, one_occasion: bool) -> ComparedCa
     )
 
 
+def shares_gravity(first: ComparisonCandidate, second: ComparisonCandidate) -> bool:
+    """Tell whether two calibrations hold the same error of the same gravity."""
+    found = _same_gravity((first, second))
+    return len(found) > 1 and len(set(found.values())) == 1
+
+
 def _same_gravity(candidates: Sequence[ComparisonCandidate]) -> dict[str, tuple[float, float, str]]:
     """Return name -> what was assumed of gravity, of those whose sigmas hold it; equal ones are the same error."""
     return {
@@ -260,7 +266,7 @@ def _differences(
             first=first,
             second=second,
             path=path,
-            values=frozen_array(_minus(one, other)),
+            values=frozen_array(minus(one, other)),
             sigmas=frozen_array(np.sqrt(variance)),
             basis=tuple(own or telling),
         )
@@ -272,7 +278,8 @@ def _sum_of_known(variances: Sequence[Floats]) -> Floats:
     return np.where(np.isnan(table).all(axis=0), nan, np.nansum(table, axis=0))
 
 
-def _minus(one: ComparedQuantity, other: ComparedQuantity) -> Floats:
+def minus(one: ComparedQuantity, other: ComparedQuantity) -> Floats:
+    """Return how far a block differs from another, (k,); of rotations, the rotation vector between them."""
     if one.rotation is None or other.rotation is None:
         return one.values - other.values
     return rotvec_from_rotation(other.rotation.T @ one.rotation)

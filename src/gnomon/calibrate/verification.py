@@ -1,0 +1,132 @@
+"""A calibration and a fresh recording -> Verification: whether it still holds, and if not, which number moved.
+
+estimate the same numbers from the fresh recording -> hold both against each other, block by block
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+
+import numpy as np
+
+from ..assess.comparison.candidates import ComparisonCandidate
+from ..assess.comparison.verification import Verification, verify_candidate
+from ..errors import OptionError
+from ..formats.foreign import ForeignCalibration
+from ..formats.foreign_files import load_any
+from ..models.target import Target
+from ..options import CameraImuOptions, CameraOptions
+from ..options.requirements import Use
+from ..progress import Progress
+from ..recording import Recording
+from ..results.calibration import Calibration, Covariance
+from ..results.result import Result
+from .camera_imu import calibrate_camera_imu
+from .cameras import calibrate_cameras
+from .imu import calibrate_imu
+from .magnetometer import calibrate_magnetometer
+
+_WIDE = {"sensitivity": 0.05, "g_sensitivity": 3e-3}
+"""Sigmas of the prior that lets a short recording be estimated, whose share is taken out again: relative to the scale;
+and [rad/s per m/s^2], relative to it, too."""
+
+
+def verify(
+    calibration: Calibration | ForeignCalibration | Result | str | PathLike[str] | Sequence[str | PathLike[str]],
+    recording: Recording | Result | Calibration,
+    target: Target | None = None,
+    *,
+    use: Use | None = None,
+    progress: Progress | None = None,
+) -> Verification:
+    """Tell whether a calibration still holds, from a fresh recording of the same sensors.
+
+    Parameters
+    ----------
+    calibration : which is verified: gnomon's or another project's, or its file or files
+    recording : a fresh one, which may be shorter than one to calibrate by; or what was calibrated from it
+    target : the board, where the recording holds cameras
+    use : what the calibration is for
+    progress : called with a sentence at each step
+
+    Raises
+    ------
+    OptionError
+        If recording and calibration are of different sensors, or the board is missing.
+    RecordingError, DetectionError, InitialisationError, SolveError
+        If the recording cannot be used.
+
+    Examples
+    --------
+    >>> found = gnomon.verify("monday-imu", gnomon.read("today.csv"))  # doctest: +SKIP
+    >>> found.state, [block.path for block in found.moved]  # doctest: +SKIP
+    """
+    known = calibration if isinstance(calibration, Calibration | ForeignCalibration) else _loaded(calibration)
+    frozen = ComparisonCandidate.of("the calibration", known)
+    wide = None
+    if isinstance(recording, Recording):
+        fresh, wide = _estimated(known, frozen, recording, target, progress)
+    else:
+        fresh = recording.calibration if isinstance(recording, Result) else recording
+    helped = None if wide is None else ComparisonCandidate.of("the prior", wide)
+    return verify_candidate(frozen, ComparisonCandidate.of("the recording", fresh), use, helped)
+
+
+def _loaded(source: Result | str | PathLike[str] | Sequence[str | PathLike[str]]) -> Calibration | ForeignCalibration:
+    if isinstance(source, Result):
+        return source.calibration
+    return load_any(source) if isinstance(source, str | PathLike) else load_any(*source)
+
+
+def _estimated(
+    known: Calibration | ForeignCalibration,
+    frozen: ComparisonCandidate,
+    recording: Recording,
+    target: Target | None,
+    progress: Progress | None,
+) -> tuple[Calibration, Calibration | None]:
+    """Return the calibration that the recording makes, and the prior that helped it."""
+    held, there = (*frozen.imus, *frozen.all_lenses), (*recording.imus, *recording.cameras)
+    if not set(held) & set(there):
+        raise OptionError(
+            f"the calibration is of {', '.join(held)}, the recording of {', '.join(there)}: nothing to verify. "
+            "Give a recording of the same sensors."
+        )
+    if recording.cameras:
+        if target is None:
+            raise OptionError("to verify cameras, say which board they saw (target).")
+        lenses = frozen.all_lenses
+        cameras = {
+            name: replace(frames, camera=lenses[name]) if name in lenses else frames
+            for name, frames in recording.cameras.items()
+        }
+        recording = replace(recording, cameras=cameras)
+        if recording.imus:
+            return calibrate_camera_imu(recording, target, CameraImuOptions(compare=False), progress).calibration, None
+        models = {lens.model for name, lens in lenses.items() if name in cameras}
+        options = CameraOptions(model=(models.pop(),)) if len(models) == 1 else CameraOptions()
+        return calibrate_cameras(recording, target, options, progress).calibration, None
+    imu = next(iter(frozen.imus.values()))
+    if imu.accelerometer is None and imu.gyroscope is None:
+        return calibrate_magnetometer(recording, progress=progress).calibration, None
+    wide = _wide(known) if isinstance(known, Calibration) else None
+    return calibrate_imu(recording, progress=progress, prior=wide).calibration, wide
+
+
+def _wide(calibration: Calibration) -> Calibration:
+    """Return the calibration with standard deviations that are far too large to matter, of what is no bias."""
+    calibration = calibration.in_frame("accel-x") if calibration.frame != "accel-x" else calibration
+    name, imu = next(iter(calibration.imus.items()))
+    names = calibration.uncertainty.names
+    sigma = np.zeros(len(names))
+    for i, scalar in enumerate(names):
+        sensor, _, path = scalar.partition("[")[0].partition(".")
+        triad, _, block = path.partition(".")
+        if sensor == name and block in _WIDE and calibration.uncertainty.matrix[i, i] > 0:
+            scale = float(np.cbrt(abs(np.linalg.det(getattr(imu, triad).sensitivity))))
+            sigma[i] = _WIDE[block] * scale
+    return replace(
+        calibration,
+        uncertainty=Covariance(names=names, matrix=np.diag(sigma**2)),
+        provenance=replace(calibration.provenance, inputs=()),
+    )

@@ -1,0 +1,135 @@
+"""A calibration that still holds is said to; one number that was changed is named, with its size."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.cli import main
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
+
+SHORT = {"intervals": 10, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
+
+
+@cache
+def sensor(seed):
+    """Return a calibration and a short fresh recording of one sensor."""
+    drawn = {"g_sensitivity": 3e-4, "sensor_seed": seed}
+    calibration = gnomon.calibrate_imu(simulate(Scenario(**drawn), seed)[0]).calibration
+    return calibration, simulate(Scenario(**drawn, **SHORT), seed + 5000)[0]
+
+
+def changed(calibration, **triads):
+    imu = calibration.imus["imu0"]
+    moved = {name: replace(getattr(imu, name), **change(getattr(imu, name))) for name, change in triads.items()}
+    return replace(calibration, imus={**calibration.imus, "imu0": replace(imu, **moved)})
+
+
+def scaled(axis, factor):
+    def change(triad):
+        rows = np.ones(3)
+        rows[axis] = factor
+        return {"sensitivity": rows[:, None] * triad.sensitivity}
+
+    return change
+
+
+def turned(degrees):
+    turn = rotation_from_rotvec(np.radians(degrees) * np.array([0.6, -0.64, 0.48]))
+    return lambda triad: {"sensitivity": triad.sensitivity @ turn}
+
+
+CHANGES = {
+    "imu0.gyroscope.scale": {"gyroscope": scaled(0, 1.002)},
+    "imu0.accelerometer.scale": {"accelerometer": scaled(1, 1.002)},
+    "imu0.gyroscope.rotation": {"gyroscope": turned(0.2)},
+    "imu0.gyroscope.bias": {"gyroscope": lambda triad: {"bias": triad.bias + np.array([0, 0.03, 0])}},
+    "imu0.accelerometer.bias": {"accelerometer": lambda triad: {"bias": triad.bias + np.array([0, 0, 0.5])}},
+    "imu0.gyroscope.g_sensitivity": {
+        "gyroscope": lambda triad: {"g_sensitivity": triad.g_sensitivity + 2e-3 * np.eye(3)[[1, 2, 0]]}
+    },
+}
+
+
+@pytest.mark.parametrize("path", CHANGES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_number_that_moved_is_named_with_its_size(path, seed):
+    calibration, fresh = sensor(seed)
+    wrong = changed(calibration, **CHANGES[path])
+    found = gnomon.verify(wrong, fresh)
+    assert (found.state, [block.path for block in found.moved]) == ("moved", [path])
+    whole = gnomon.compare(calibration, wrong, names=("true", "wrong")).difference("true", "wrong", path)
+    (block,) = found.moved
+    assert np.all(np.abs(block.values - whole.values) < 4 * block.sigma)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_calibration_that_holds_is_said_to_hold(seed):
+    found = gnomon.verify(*sensor(seed))
+    assert found.state == "holds"
+    assert {block.state for block in found.blocks} == {"holds"}
+
+
+def test_a_sign_is_not_taken_for_a_small_change():
+    calibration, fresh = sensor(1)
+    found = gnomon.verify(changed(calibration, gyroscope=scaled(1, -1.0)), fresh)
+    assert found.moved[0].path in {"imu0.gyroscope.scale", "imu0.gyroscope.rotation"}
+    assert found.verdict == "fail"
+
+
+def test_a_recording_that_says_nothing_cannot_tell():
+    calibration, _ = sensor(1)
+    drawn = {"g_sensitivity": 3e-4, "sensor_seed": 1}
+    found = gnomon.verify(calibration, simulate(Scenario(**drawn, **SHORT | {"intervals": 3}), 7)[0])
+    assert found.state == "cannot tell"
+
+
+def test_sensors_that_are_not_there_are_refused():
+    calibration, fresh = sensor(1)
+    other = replace(fresh, imus={"imu7": fresh.imus["imu0"]})
+    with pytest.raises(gnomon.OptionError, match="nothing to verify"):
+        gnomon.verify(calibration, other)
+
+
+RIG = {
+    "cam0.translation": lambda T: T + np.array([[0, 0, 0, 0.004], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]]),
+    "cam0.rotation": lambda T: np.block(
+        [
+            [rotation_from_rotvec(np.radians([0, 0.15, 0])) @ T[:3, :3], T[:3, 3:]],
+            [np.array([[0.0, 0, 0, 1]])],
+        ]
+    ),
+}
+
+
+@pytest.mark.long
+def test_a_camera_that_was_knocked_is_named():
+    scenario = CameraImuScenario(duration_s=30.0, sensor_seed=1)
+    first, second = (simulate_camera_imu(scenario, seed) for seed in (1, 2))
+    calibration = gnomon.calibrate_camera_imu(first.recording, first.target).calibration
+    fresh = gnomon.calibrate_camera_imu(second.recording, second.target).calibration
+    assert gnomon.verify(calibration, fresh).state == "holds"
+    for path, move in RIG.items():
+        camera = calibration.cameras["cam0"]
+        wrong = replace(calibration, cameras={"cam0": replace(camera, T_cam_body=move(camera.T_cam_body))})
+        assert [block.path for block in gnomon.verify(wrong, fresh).moved] == [path]
+
+
+def test_the_command_says_it_in_its_exit_code(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    calibration, fresh = sensor(2)
+    gnomon.save(calibration, "calibration.yaml")
+    gnomon.save(changed(calibration, **CHANGES["imu0.gyroscope.scale"]), "wrong.yaml")
+    rows = np.column_stack([fresh.imus["imu0"].gyroscope.t_ns, fresh.imus["imu0"].gyroscope.values])
+    rows = np.column_stack([rows, fresh.imus["imu0"].accelerometer.values])
+    head = "t_ns,wx [rad/s],wy [rad/s],wz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+    np.savetxt("today.csv", rows, delimiter=",", header=head, comments="", fmt=["%d", *["%.12g"] * 6])
+    assert main(["verify", "calibration.yaml", "today.csv", "--no-report"]) == 0
+    assert main(["verify", "wrong.yaml", "today.csv", "--json", "-o", "out"]) == 4
+    said = capsys.readouterr().out
+    assert json.loads(said[said.index("{") :])["state"] == "moved"
+    assert "gyroscope" in (tmp_path / "out" / "report.html").read_text()
