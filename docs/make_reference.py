@@ -161,6 +161,7 @@ _SECTIONS = {
         "NoiseResult",
         "PlanResult",
         "Comparison",
+        "Verification",
         "PlatterRate",
         "Covariance",
         "Finding",

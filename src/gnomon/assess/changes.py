@@ -172,7 +172,7 @@ def needed_of(change: QuantityChange, use: Use | None) -> float:
     return use.needs.get(change.quantity, 0.0)
 
 
-def unit_of(quantity: str) -> tuple[str, float]:
+def unit_of_quantity(quantity: str) -> tuple[str, float]:
     """Return the unit in which a quantity is told, and one of it [SI, px]."""
     return _SCALES[quantity].unit, _SCALES[quantity].size
 

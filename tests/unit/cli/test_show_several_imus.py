@@ -77,7 +77,7 @@ def test_the_report_shows_pose_clock_and_signals_of_each(result):
     titles = [getattr(block, "title", "") for block in section.blocks]
     assert "imu1" in titles
     assert "T_imu_body of imu1: p_imu1 = T_imu_body p_imu0, in metres" in titles
-    rig = next(block for block in section.blocks if getattr(block, "title", "") == "The rig")
+    rig = next(block for block in page.front if getattr(block, "title", "") == "The rig")
     assert "imu0, imu1, cam0, cam1" in rig.svg
     fits = next(s for s in page.sections if s.anchor == "fit")
     assert {"imu0", "imu1"} <= {word for b in fits.blocks for word in getattr(b, "title", "").split()}

@@ -266,7 +266,7 @@ def _differences(
             first=first,
             second=second,
             path=path,
-            values=frozen_array(minus(one, other)),
+            values=frozen_array(subtract_quantity(one, other)),
             sigmas=frozen_array(np.sqrt(variance)),
             basis=tuple(own or telling),
         )
@@ -278,7 +278,7 @@ def _sum_of_known(variances: Sequence[Floats]) -> Floats:
     return np.where(np.isnan(table).all(axis=0), nan, np.nansum(table, axis=0))
 
 
-def minus(one: ComparedQuantity, other: ComparedQuantity) -> Floats:
+def subtract_quantity(one: ComparedQuantity, other: ComparedQuantity) -> Floats:
     """Return how far a block differs from another, (k,); of rotations, the rotation vector between them."""
     if one.rotation is None or other.rotation is None:
         return one.values - other.values

@@ -24,10 +24,10 @@ from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, FIELD_UT, Use
 from ...recording import Floats, frozen_array
 from ...results.trust import QuantityChange, Verdict
-from ..changes import OF_HEADING, lens_movement, needed_of, told_with_cure, unit_of
+from ..changes import OF_HEADING, lens_movement, needed_of, told_with_cure, unit_of_quantity
 from ..verdict import merge_by_cause, verdict_of
 from .candidates import ComparisonCandidate, in_common_frame
-from .comparing import minus, shares_gravity
+from .comparing import shares_gravity, subtract_quantity
 from .comparison_words import at_common_origins, block_words
 from .quantities import ComparedQuantity, Statement, statement_of
 
@@ -193,7 +193,7 @@ def _movement(
     for path in paths:
         rows[path] = slice(count, count + len(found.quantities[path].elements))
         count = rows[path].stop
-    values = np.concatenate([minus(found.quantities[path], known.quantities[path]) for path in paths])
+    values = np.concatenate([subtract_quantity(found.quantities[path], known.quantities[path]) for path in paths])
     own = _part(found, paths)
     if wide is not None:
         values, own = _without_prior(values, own, _part(wide, paths))
@@ -322,7 +322,7 @@ def _in_unit_of_need(
 
 def movement_words(block: VerifiedBlock) -> tuple[str, str, str, str, str]:
     """Return a block for a table: its name, by how much it moved, what is needed, log10 of p, and its state."""
-    unit, size = unit_of(block.change.quantity)
+    unit, size = unit_of_quantity(block.change.quantity)
     moved = f"{block.change.size / size:.2g} ± {block.change.sigma / size:.1g} {unit}"
     needed = f"{block.needed / size:.2g} {unit}" if block.needed else "-"
     return block.words, moved, needed, f"{block.log_probability / np.log(10):.1f}", block.state
@@ -371,7 +371,7 @@ def _findings(blocks: Sequence[VerifiedBlock], use: Use | None) -> Iterator[Find
             told, cure = told_with_cure(block.change, block.needed, use)
             yield make_finding(
                 "calibration-moved",
-                subject=block.path,
+                block=block.path,
                 severity="problem" if moved and beyond else "warning" if moved else "info",
                 case="beyond" if beyond else "",
                 told=told,
