@@ -11,6 +11,7 @@ from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
+from .temperature_checks import check_temperature
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
 _STEEP = 7.0  # that change from sample to sample, in units of the noise
@@ -182,7 +183,8 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
     rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated, samples-skipped;
     samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady,
-    always-static, attitudes, intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
+    always-static, attitudes, intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses;
+    temperature, temperature-hot, temperature-implausible.
 
     Returns
     -------
@@ -195,7 +197,11 @@ def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding
     """Return the findings of `check`, by rests that another function finds, for a caller who uses them again."""
     if recording.pieces or recording.poses is not None:
         return tuple(_check_poses(recording))
-    return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests))
+    findings = [finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests)]
+    for name, imu in recording.imus.items():
+        if imu.temperature is not None and len(imu.temperature) > 1:
+            findings += check_temperature(imu.temperature, f"{name} thermometer")
+    return tuple(findings)
 
 
 def _check_poses(recording: Recording) -> list[Finding]:
