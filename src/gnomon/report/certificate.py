@@ -53,7 +53,7 @@ def _stated(calibration: Calibration) -> ReportTable:
 
 def _numbers(calibration: Calibration) -> ReportTable:
     rows = [
-        (f"{where}{group.title}: {row.name}", row.value, row.expanded or MISSING, row.unit)
+        (f"{where}{_called(group.title, row.name)}", row.value, row.expanded or MISSING, row.unit)
         for where, group in _groups(calibration)
         for row in group.rows
     ]
@@ -64,6 +64,12 @@ def _numbers(calibration: Calibration) -> ReportTable:
         "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated.",
         dense=True,
     )
+
+
+def _called(group: str, name: str) -> str:
+    """Return a group of parameters and one of it, "Accelerometer scale x", without saying a word twice."""
+    first, _, rest = name.partition(" ")
+    return f"{group} {rest}" if rest and group.lower().split()[-1] == first.lower() else f"{group}: {name}"
 
 
 def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
