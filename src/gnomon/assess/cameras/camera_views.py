@@ -156,11 +156,9 @@ def check_handedness(name: str, frames: CameraFrames, usable: Integers, target: 
 
 def _from_behind(frames: CameraFrames, usable: Integers, target: Target) -> Booleans:
     """Return of each frame whether the affine map from the board to the image keeps the sense of turning, (k,)."""
-    ends = np.searchsorted(frames.frame, np.stack([usable, usable + 1]))
-    turned = np.zeros(len(usable), dtype=np.bool_)
-    for k, (first, last) in enumerate(ends.T.tolist()):
-        board = target.points[frames.point[first:last], :2]
-        pixels = frames.pixels[first:last]
-        board, pixels = board - board.mean(axis=0), pixels - pixels.mean(axis=0)
-        turned[k] = np.linalg.det(np.linalg.lstsq(board, pixels, rcond=None)[0]) > 0
-    return turned
+    mine = np.isin(frames.frame, usable)
+    _, of, count = np.unique(frames.frame[mine], return_inverse=True, return_counts=True)
+    columns = np.concatenate([target.points[frames.point[mine], :2], frames.pixels[mine]], axis=1).T
+    columns = columns - np.stack([np.bincount(of, column) / count for column in columns])[:, of]
+    (xu, xv), (yu, yv) = ([np.bincount(of, a * b) for b in columns[2:]] for a in columns[:2])
+    return xu * yv > xv * yu  # det (B'B)^-1 B'P of board B and pixels P: its first factor is positive

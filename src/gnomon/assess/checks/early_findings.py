@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...estimate.camera_imu.result.residual_patterns import (
+    CountingCorners,
     ResidualPattern,
     board_evidence,
     corner_correlation,
+    counting_corners,
     lens_evidence,
 )
 from ...estimate.camera_imu.solution import Solution
@@ -38,17 +40,17 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
     solution : the estimate
     signals : "imu0.accelerometer", ... -> readings and what the estimate predicts
     """
-    found: list[str] = []
-    if _there(board := board_evidence(solution)):
+    found, corners = list[str](), counting_corners(solution)
+    if _there(board := board_evidence(corners)):
         found.append(
             f"corners that stay off their places on the board by {board.rms_px:.2g} px in all frames (a bad print, a "
             "bent board, or a bias of the detector)"
         )
-    if _there(lens := lens_evidence(solution)):
+    if _there(lens := lens_evidence(corners)):
         found.append(
             f"a lens that is not quite the stated one, {lens.rms_px:.2g} px off in the same parts of all images"
         )
-    if not found and (lasting := _lasting(solution)) > _LASTING:
+    if not found and (lasting := _lasting(solution, corners)) > _LASTING:
         found.append(
             "errors of the detector that depend on attitude and distance, or a lens that its model cannot follow (a "
             f"corner's residual is correlated by {lasting:.2g} from frame to frame)"
@@ -63,9 +65,9 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
     return found
 
 
-def _lasting(solution: Solution) -> float:
+def _lasting(solution: Solution, corners: Sequence[CountingCorners]) -> float:
     """Return the largest correlation, of any camera, of a corner's residual with that in the next frame."""
-    return max((found.over_time[0] for found in corner_correlation(solution).values()), default=0.0)
+    return max((found.over_time[0] for found in corner_correlation(solution, corners).values()), default=0.0)
 
 
 def neighbour_correlation(fit: SignalFit) -> float:

@@ -9,6 +9,7 @@ hang on the evidence.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -21,7 +22,7 @@ from ...estimate.camera_imu.layout import border_layout
 from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, evaluate_nested_models, step_columns
 from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.cluster_sums import cluster_sums
-from ...estimate.camera_imu.result.residual_patterns import board_evidence
+from ...estimate.camera_imu.result.residual_patterns import board_evidence, counting_corners
 from ...estimate.camera_imu.solution import Solution, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
@@ -168,21 +169,23 @@ def select_model(
     """
     share = 0.0 if own_detector else _LENS_SHARE
     stated = _stated(solution, options)
-    judged = base = _judged(solution, stated, share)
-    steps = {step.name: step for step in base.steps}
-    if _BOARD not in stated:
-        steps[_BOARD] = _board_step(solution)
-    asked = _asked(steps, stated, promising=True)
-    if {"intrinsics", _BOARD} & set(asked) and "k3" not in stated and _may_have_k3(solution):
+    base = cache(lambda: _judged(solution, stated, share))
+    steps = {} if _BOARD in stated else {_BOARD: _board_step(solution)}
+    asked, may_have_k3 = _asked(steps, stated), "k3" not in stated and _may_have_k3(solution)
+    if not (asked and may_have_k3):  # else all is judged beside k3
+        steps |= {step.name: step for step in base().steps}
+        asked = _asked(steps, stated, promising=True)
+    if {"intrinsics", _BOARD} & set(asked) and may_have_k3:
         steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated, share).steps}
         asked = _asked(steps, stated, promising=True)
+    judged: SelectedModel | None = None
     inside: tuple[str, ...] = ()
     failed: dict[str, str] = {}
     rounds = _ROUNDS
     while rounds and asked != inside:
         tell(f"estimating along: {', '.join(asked) or 'none of them'}")
         try:
-            judged = _judged(_estimated_along(solution, asked, options, tell), stated, share) if asked else base
+            judged = _judged(_estimated_along(solution, asked, options, tell), stated, share) if asked else base()
         except SolveError as error:
             failed[_least(steps, asked)] = str(error)
         else:
@@ -199,7 +202,7 @@ def select_model(
     ]
     told.sort(key=lambda step: (*LADDER, _BOARD).index(step.name))
     return replace(
-        judged,
+        judged or base(),
         steps=tuple(told),
         added=inside,
         tries=len(steps.keys() - stated.keys()),
@@ -267,7 +270,7 @@ def _board_step(solution: Solution) -> ModelStep:
     if board is not None and board.offsets.any():
         parameters = replace(solution.state.parameters, board=replace(board, offsets=np.zeros_like(board.offsets)))
         solution = replace(solution, state=replace(solution.state, parameters=parameters))
-    pattern = board_evidence(solution)
+    pattern = board_evidence(counting_corners(solution))
     gain, least = _gain(solution, pattern.share), _gain(solution, _BOARD_SHARE)
     spread = abs(gain / pattern.z) if pattern.z else 0.0
     needed = max(spread * NormalDist().inv_cdf(1 - _BOARD_CHANCE), least)

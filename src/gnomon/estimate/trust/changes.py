@@ -66,6 +66,11 @@ class _Cut:
     at_s: float = math.nan
     looks: float = 1.0
 
+    @property
+    def switches(self) -> bool:
+        """Whether every stretch is in one part or the other as a whole."""
+        return bool(((self.share == 0) | (self.share == 1)).all())
+
 
 @value_class
 class _Term:
@@ -252,7 +257,8 @@ class _Scan:
             ]
             cross = np.concatenate([along, np.reshape(beside, (len(beside), len(size)))]) @ directions
             by_base = np.linalg.solve(normal, np.column_stack([cross, right]))
-            own = directions.T @ np.tensordot(cut.share**2, information, 1) @ directions - cross.T @ by_base[:, :-1]
+            squared = along if cut.switches else np.tensordot(cut.share**2, information, 1)
+            own = directions.T @ squared @ directions - cross.T @ by_base[:, :-1]
             score = directions.T @ (cut.share @ pull) - cross.T @ by_base[:, -1]
             found[number] = _squares(own, score, starts)
         return found
@@ -423,7 +429,8 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
 
 def _size(sums: ClusterSums) -> Floats:
     """Return by what (p,) parameters are multiplied to have information of about one."""
-    return 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(np.float64).tiny))
+    diagonal = np.einsum("npp->p", sums.information) + np.diag(sums.prior_information)
+    return 1 / np.sqrt(np.maximum(diagonal, np.finfo(np.float64).tiny))
 
 
 def _design(sums: ClusterSums, terms: Sequence[_Term]) -> tuple[Floats, Floats]:
@@ -441,10 +448,14 @@ def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Float
     normal = np.zeros((k, k))
     starts = [0, *(np.flatnonzero(np.any(on[:, 1:] != on[:, :-1], axis=0)) + 1), k]  # columns that act alike
     alike = [slice(low, high) for low, high in pairwise(starts)]
+    weighed = dict[bytes, Floats]()  # columns that switch weigh as much by their squares
     for i, one in enumerate(alike):
         for other in alike[: i + 1]:
-            shared = np.tensordot(on[:, one.start] * on[:, other.start], sums.information, 1)
-            normal[one, other] = design[:, one].T @ shared @ design[:, other]
+            weight = on[:, one.start] * on[:, other.start]
+            key = weight.tobytes()
+            if key not in weighed:
+                weighed[key] = np.tensordot(weight, sums.information, 1)
+            normal[one, other] = design[:, one].T @ weighed[key] @ design[:, other]
             normal[other, one] = normal[one, other].T
     normal[:p, :p] += sums.prior_information * np.outer(size, size)
     right[:p] += sums.prior_pull * size

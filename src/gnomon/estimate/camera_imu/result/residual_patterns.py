@@ -5,6 +5,7 @@ bias of the detector; what stays with a part of the image is one of the lens. Bo
 an estimate that has neither, before anything is estimated anew.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,7 @@ class ResidualPattern:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Corners:
+class CountingCorners:
     """Corners of one camera that count.
 
     Attributes
@@ -84,12 +85,12 @@ class _Corners:
     pixels: Floats
 
 
-def corner_correlation(solution: Solution) -> dict[str, CornerCorrelation]:
-    """Return how the residuals of each camera are correlated, by its name."""
+def corner_correlation(solution: Solution, every: Sequence[CountingCorners]) -> dict[str, CornerCorrelation]:
+    """Return how the residuals of each camera, its corners at the solution, are correlated, by its name."""
     parameters = solution.state.parameters
     neighbours = _neighbours(parameters.board)
     found: dict[str, CornerCorrelation] = {}
-    for entry, corners in zip(parameters.cameras, _counting(solution), strict=True):
+    for entry, corners in zip(parameters.cameras, every, strict=True):
         if not len(corners.point):
             continue
         frames, points = int(corners.frame.max()) + 1, int(corners.point.max()) + 1
@@ -105,9 +106,8 @@ def corner_correlation(solution: Solution) -> dict[str, CornerCorrelation]:
     return found
 
 
-def board_evidence(solution: Solution) -> ResidualPattern:
+def board_evidence(every: Sequence[CountingCorners]) -> ResidualPattern:
     """Return whether corners of the board stay off their places: cheap, and before offsets are estimated."""
-    every = _counting(solution)
     return _pattern(
         np.concatenate([corners.on_board for corners in every]),
         np.concatenate([corners.point for corners in every]),
@@ -115,9 +115,9 @@ def board_evidence(solution: Solution) -> ResidualPattern:
     )
 
 
-def lens_evidence(solution: Solution) -> ResidualPattern:
+def lens_evidence(every: Sequence[CountingCorners]) -> ResidualPattern:
     """Return whether residuals stay with parts of the image, as those of wrong intrinsics do."""
-    every, (across, down) = _counting(solution), _CELLS
+    across, down = _CELLS
     cells: list[Integers] = []
     for number, corners in enumerate(every):
         column, row = np.floor(corners.pixels * _CELLS).astype(np.int64).T
@@ -170,10 +170,10 @@ def _chance(products: Floats) -> float:
     return float((1 + np.sum(drawn >= products.sum())) / (1 + _DRAWS))
 
 
-def _counting(solution: Solution) -> list[_Corners]:
+def counting_corners(solution: Solution) -> list[CountingCorners]:
     """Return the corners of every camera that count, at the estimate."""
     trajectory, parameters = solution.state.trajectory, solution.state.parameters
-    found: list[_Corners] = []
+    found: list[CountingCorners] = []
     for data, used, sigma_px in zip(
         solution.measurements.visual, solution.measurements.used, solution.noise.pixel_sigma, strict=True
     ):
@@ -193,7 +193,7 @@ def _counting(solution: Solution) -> list[_Corners]:
         distance = np.linalg.norm(residual, axis=1) / sigma_px
         residual = residual * np.minimum(1.0, solution.noise.huber / np.maximum(distance, 1e-12))[:, None]
         found.append(
-            _Corners(
+            CountingCorners(
                 residual=residual,
                 on_board=along_board(image.by_point[counts] @ R[of][counts][:, :, :2], residual),
                 frame=exposures.frame[of][counts],
