@@ -27,7 +27,7 @@ def test_what_was_stated_stands_on_page_one_and_sections_are_folded(stated, tmp_
     write_report(stated, tmp_path / "report.html")
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     front = Page(html).text.split("Signals and static detector")[0]
-    for words in ("BMI270 <3>", "A-17", "2026-03-31", "21.5 °C", "U = 2σ", "Accelerometer bias: bias x"):
+    for words in ("BMI270 <3>", "A-17", "2026-03-31", "21.5 °C", "U = 2σ", "Accelerometer bias x"):
         assert words in front.replace("\u00a0", " "), words
     assert "Operator" not in front
     one = html.split('class="folded"')[0]
