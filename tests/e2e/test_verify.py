@@ -95,6 +95,18 @@ def test_sensors_that_are_not_there_are_refused():
         gnomon.verify(calibration, other)
 
 
+def test_a_recording_does_not_verify_the_calibration_that_it_made(tmp_path):
+    _, fresh = sensor(1)
+    path = tmp_path / "own.csv"
+    values = [getattr(fresh.imus["imu0"], name) for name in ("gyroscope", "accelerometer")]
+    rows = np.column_stack([values[0].t_ns, *(triad.values for triad in values)])
+    head = "t_ns,wx [rad/s],wy [rad/s],wz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+    np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt=["%d", *["%.12g"] * 6])
+    own = gnomon.calibrate_imu(gnomon.read(path)).calibration
+    with pytest.raises(gnomon.OptionError, match="very recording"):
+        gnomon.verify(own, gnomon.read(path))
+
+
 RIG = {
     "cam0.translation": lambda T: T + np.array([[0, 0, 0, 0.004], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]]),
     "cam0.rotation": lambda T: np.block(

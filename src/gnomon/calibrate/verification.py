@@ -18,7 +18,7 @@ from ..models.target import Target
 from ..options import CameraImuOptions, CameraOptions
 from ..options.requirements import Use
 from ..progress import Progress
-from ..recording import Recording
+from ..recording import Recording, shared_sources
 from ..results.calibration import Calibration, Covariance
 from ..results.result import Result
 from .camera_imu import calibrate_camera_imu
@@ -52,7 +52,8 @@ def verify(
     Raises
     ------
     OptionError
-        If recording and calibration are of different sensors, or the board is missing.
+        If recording and calibration are of different sensors, the calibration was made from that very recording, or the
+        board is missing.
     RecordingError, DetectionError, InitialisationError, SolveError
         If the recording cannot be used.
 
@@ -68,6 +69,11 @@ def verify(
         fresh, wide = _estimated(known, frozen, recording, target, progress)
     else:
         fresh = recording.calibration if isinstance(recording, Result) else recording
+    if shared := shared_sources(frozen.inputs, fresh.provenance.inputs):
+        raise OptionError(
+            f"the calibration was made from {shared[0].name}, the very recording that is to verify it: that says "
+            "nothing. Record afresh."
+        )
     helped = None if wide is None else ComparisonCandidate.of("the prior", wide)
     return verify_candidate(frozen, ComparisonCandidate.of("the recording", fresh), use, helped)
 

@@ -196,6 +196,11 @@ def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
     run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     run(["camera-imu", "rig", "--no-report"])
+    run(["simulate", "camera-imu", "-o", "today-rig", *RIG, "--seed", "6", "--sensor-seed", "5"])
+    for seed, day in enumerate(("monday", "today")):
+        sensor = ["--sensor-seed", "1", "--seed", str(seed)]
+        run(["simulate", "imu", "-o", f"{day}.csv", "--intervals", "20", "--t-init-s", "20", *sensor])
+    run(["imu", "monday.csv", "--no-report"])
     shutil.copytree("rig-camera-imu", "monday-camera-imu")
     for day in ("tuesday", "wednesday"):
         shutil.copytree("rig-camera-imu", f"{day}-camera-imu")
@@ -206,7 +211,7 @@ def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
         shutil.copy(f"rig/{name}.yaml", f"{name}.yaml")
     commands = [words for words in shell_commands(tmp_path / "section.md") if words[1:2] != ["rig.bag"]]
     commands = [words for words in commands if words[0] != "study"]  # those have tests of their own
-    assert {"imu", "show", "compare", "convert", "plan", "plan-imu"} == {words[0] for words in commands}
+    assert {"imu", "show", "compare", "verify", "convert", "plan", "plan-imu"} == {words[0] for words in commands}
     for words in commands:
         shown = words[0] in {"show", "plan"} and ("needs.yaml" in words or "gimbal" in words or "planar" in words)
         run(words, may_fail=shown)  # the verdict on so short a recording, and on a vehicle

@@ -1,0 +1,170 @@
+"""Calibrations in which one number is changed, verified by short fresh recordings; the right block must be named.
+
+    python benchmarks/verify_changes.py                     24 changes, 5 recordings each, and 100 that hold
+    python benchmarks/verify_changes.py --seeds 2 --healthy 10 --only gyroscope
+
+A calibration is made from one simulated recording; a number of it is changed; a fresh recording of 30 to 40 s of the
+same sensor verifies it. Named: the block that was changed is among those that moved. z: of its size.
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems are small
+
+import numpy as np
+
+import gnomon
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
+
+SHORT = {"intervals": 10, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
+Change = Callable[[Any], Any]
+
+
+@cache
+def of_imu(seed: int):
+    drawn = {"g_sensitivity": 3e-4, "sensor_seed": seed}
+    calibration = gnomon.calibrate_imu(simulate(Scenario(**drawn), seed)[0]).calibration
+    return calibration, simulate(Scenario(**drawn, **SHORT), seed + 5000)[0], None
+
+
+@cache
+def of_rig(seed: int):
+    scenario = CameraImuScenario(duration_s=60.0, sensor_seed=seed)
+    first = simulate_camera_imu(scenario, seed)
+    second = simulate_camera_imu(replace(scenario, duration_s=30.0), seed + 5000)
+    calibration = gnomon.calibrate_camera_imu(first.recording, first.target).calibration
+    return calibration, second.recording, second.target
+
+
+def triad(name: str, **change: Change) -> Change:
+    def changed(calibration: Any) -> Any:
+        imu = calibration.imus["imu0"]
+        sensor = getattr(imu, name)
+        moved = {field: how(getattr(sensor, field)) for field, how in change.items()}
+        return replace(calibration, imus={"imu0": replace(imu, **{name: replace(sensor, **moved)})})
+
+    return changed
+
+
+def camera(**change: Change) -> Change:
+    def changed(calibration: Any) -> Any:
+        one = calibration.cameras["cam0"]
+        moved = {field: how(getattr(one, field)) for field, how in change.items()}
+        return replace(calibration, cameras={"cam0": replace(one, **moved)})
+
+    return changed
+
+
+def scaled(*factors: float) -> Change:
+    return lambda matrix: np.array(factors)[:, None] * matrix
+
+
+def skewed(row: int, column: int) -> Change:
+    def change(matrix: Any) -> Any:
+        moved = matrix.copy()
+        moved[row, column] += np.radians(0.2) * np.linalg.norm(matrix[row])
+        return moved
+
+    return change
+
+
+def turned(axis: tuple[float, float, float], degrees: float) -> Change:
+    return lambda matrix: matrix @ rotation_from_rotvec(np.radians(degrees) * np.array(axis))
+
+
+def shifted(*by: float) -> Change:
+    return lambda values: values + np.array(by)
+
+
+def posed(
+    rotation_deg: tuple[float, float, float] = (0, 0, 0), way_m: tuple[float, float, float] = (0, 0, 0)
+) -> Change:
+    def change(T: Any) -> Any:
+        moved = T.copy()
+        moved[:3, :3] = T[:3, :3] @ rotation_from_rotvec(np.radians(rotation_deg))
+        moved[:3, 3] += way_m
+        return moved
+
+    return change
+
+
+IMU: dict[str, tuple[str, Change]] = {
+    "gyroscope scale x 0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1.002, 1, 1))),
+    "gyroscope scale z -0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1, 1, 0.998))),
+    "gyroscope scale, all 0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1.002, 1.002, 1.002))),
+    "accelerometer scale y 0.2 %": ("accelerometer.scale", triad("accelerometer", sensitivity=scaled(1, 1.002, 1))),
+    "gravity 0.2 % (all scales)": ("accelerometer.scale", triad("accelerometer", sensitivity=scaled(*[1.002] * 3))),
+    "accelerometer axis 0.2 deg": ("accelerometer.misalignment", triad("accelerometer", sensitivity=skewed(2, 1))),
+    "accelerometer axis y 0.2 deg": ("accelerometer.misalignment", triad("accelerometer", sensitivity=skewed(1, 0))),
+    "gyroscope axis 0.2 deg": ("gyroscope.misalignment", triad("gyroscope", sensitivity=skewed(1, 0))),
+    "gyroscope turned 0.2 deg": ("gyroscope.rotation", triad("gyroscope", sensitivity=turned((0.6, -0.64, 0.48), 0.2))),
+    "gyroscope turned about z": ("gyroscope.rotation", triad("gyroscope", sensitivity=turned((0, 0, 1), 0.2))),
+    "gyroscope bias 1.7 deg/s": ("gyroscope.bias", triad("gyroscope", bias=shifted(0, 0.03, 0))),
+    "accelerometer bias 0.5 m/s^2": ("accelerometer.bias", triad("accelerometer", bias=shifted(0, 0, 0.5))),
+    "g-sensitivity": ("gyroscope.g_sensitivity", triad("gyroscope", g_sensitivity=lambda g: g + 1e-3 * np.eye(3))),
+    "sign of a gyroscope axis": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1, -1, 1))),
+    "sign of an accelerometer axis": ("accelerometer.scale", triad("accelerometer", sensitivity=scaled(1, 1, -1))),
+}
+RIG: dict[str, tuple[str, Change]] = {
+    "R_cb 0.1 deg": ("cam0.rotation", camera(T_cam_body=posed((0, 0.1, 0)))),
+    "R_cb 0.1 deg about z": ("cam0.rotation", camera(T_cam_body=posed((0, 0, 0.1)))),
+    "t 2 mm along x": ("cam0.translation", camera(T_cam_body=posed(way_m=(0.002, 0, 0)))),
+    "t 2 mm along z": ("cam0.translation", camera(T_cam_body=posed(way_m=(0, 0, -0.002)))),
+    "shift 1 ms": ("cam0.time_shift", camera(time_shift_cam_imu=lambda shift: shift + 1e-3)),
+    "rig: gyroscope scale 0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1.002, 1, 1))),
+    "rig: accelerometer scale 0.2 %": ("accelerometer.scale", triad("accelerometer", sensitivity=scaled(1, 1.002, 1))),
+    "rig: gyroscope turned 0.2 deg": ("gyroscope.rotation", triad("gyroscope", sensitivity=turned((0, 1, 0), 0.2))),
+    "rig: gyroscope bias 1.7 deg/s": ("gyroscope.bias", triad("gyroscope", bias=shifted(0.03, 0, 0))),
+}
+
+
+def verified(make: Callable[[int], Any], seed: int, change: Change = lambda same: same):
+    """Return what is said of a changed calibration, how the change looks in its block, and the CPU time [s]."""
+    calibration, recording, target = make(seed)
+    wrong = change(calibration)
+    began = time.process_time()
+    found = gnomon.verify(wrong, recording, target)
+    return found, calibration, wrong, time.process_time() - began
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--healthy", type=int, default=100)
+    parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--only", default="")
+    stated = parser.parse_args()
+    named = total = 0
+    for make, changes in ((of_imu, IMU), (of_rig, RIG)):
+        for name, (path, change) in changes.items():
+            if stated.only not in name:
+                continue
+            said, zs, cpu = [], [], []
+            for seed in range(stated.first, stated.first + stated.seeds):
+                found, calibration, wrong, spent = verified(make, seed, change)
+                moved = [block for block in found.moved if block.path.endswith(path)]
+                said.append(bool(moved))
+                cpu.append(spent)
+                if said[-1]:
+                    true = gnomon.compare(calibration, wrong, names=("a", "b")).difference("a", "b", moved[0].path)
+                    zs += ((moved[0].values - true.values) / moved[0].sigma).tolist()
+            named, total = named + sum(said), total + len(said)
+            z = f"z rms {np.sqrt(np.mean(np.square(zs))):.2f}, largest {np.abs(zs).max():.1f}" if zs else ""
+            print(f"{name:32s} named {sum(said)} of {len(said)}  {z}  {np.median(cpu):.2f} s", flush=True)
+    print(f"named {named} of {total}")
+    states: dict[str, int] = {}
+    for seed in range(stated.first, stated.first + stated.healthy):
+        found = verified(of_imu if seed % 4 else of_rig, seed)[0]
+        states[found.state] = states.get(found.state, 0) + 1
+    print(f"that hold: {states}")
+
+
+if __name__ == "__main__":
+    main()
