@@ -23,7 +23,7 @@ import gnomon
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
-SHORT = {"intervals": 10, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
+SHORT = {"intervals": 12, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
 Change = Callable[[Any], Any]
 
 

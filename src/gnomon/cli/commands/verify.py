@@ -30,7 +30,7 @@ _STYLES = {"holds": "bold green", "cannot tell": "bold yellow", "moved": "bold r
 class Verify(Command, TableOptions):
     """Tell whether a calibration still holds, from a short fresh recording; if not, which number moved, and how far.
 
-    The calibration may be of any program that `compare` reads. For an IMU let it rest in ten attitudes or more for two
+    The calibration may be of any program that `compare` reads. For an IMU let it rest in twelve attitudes or more, two
     seconds each, with turns between them; for cameras and an IMU wave them in front of the board for half a minute.
     Exit code 4 where the calibration has moved, 3 where the recording cannot tell.
 

@@ -17,7 +17,6 @@ _TIME = re.compile(r'^"?Time \(s\)"?[,;\t]')
 _LINEAR = re.compile(r'^"?Time \(s\)"?[,;\t]"?Linear Acceleration x ', re.IGNORECASE)
 _SENSOR = re.compile(r'[,;\t]"?(?:linear acceleration|acceleration|gyroscope|magnetic field) x \(', re.IGNORECASE)
 _ACCELERATION = re.compile(r'[,;\t]"?acceleration x \(', re.IGNORECASE)
-_SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 _RECORD = 'Use the experiment "Acceleration with g", or one of your own that records accelerometer and gyroscope.'
 
 
@@ -64,7 +63,11 @@ def read_phyphox(files: LogFiles) -> DeviceLog:
     if linear:
         notes.append(f"{PurePosixPath(linear[0]).name}: without gravity, and left out.")
     return DeviceLog(
-        **{sensor: found.get(sensor) for sensor in _SENSORS}, sources=files.sources(read), notes=tuple(notes)
+        accelerometer=found.get("accelerometer"),
+        gyroscope=found.get("gyroscope"),
+        magnetometer=found.get("magnetometer"),
+        sources=files.sources(read),
+        notes=tuple(notes),
     )
 
 
