@@ -21,7 +21,6 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
@@ -206,16 +205,18 @@ def codes_of(session, state):
     return {fault.code for fault in (*session.troubles(), *state.faults)} | ({state.phase} & {"shaking"})
 
 
+KILL_SPEED = 40  # times as fast as it was recorded
+RATE_HZ = 100.0  # of `gnomon simulate imu`
 FAULTS = (
     "dropped", "throttled", "saturated", "no-gravity", "rounded", "silent", "repeated", "too-fast", "shaking",
     "clock-back", "damaged",
 )  # fmt: skip
 
 
-def study_faults(seeds=10, healthy=20):
+def study_faults(first=0, seeds=10, healthy=20):
     for name in FAULTS:
         delays = []
-        for seed in range(seeds):
+        for seed in range(first, first + seeds):
             rng = np.random.default_rng(seed)
             from_s = float(rng.uniform(3, 12))
             hand = SimulatedHand(seed)
@@ -233,7 +234,7 @@ def study_faults(seeds=10, healthy=20):
             delays.append(np.inf if found is None else max(found, 0.0))
         print(f"fault {name}: named in {sum(d <= 3 for d in delays)} of {seeds} within 3 s, latest {max(delays):.1f} s")
     told = Counter()
-    for seed in range(healthy):
+    for seed in range(first, first + healthy):
         hand = SimulatedHand(1000 + seed, Scenario(rate_hz=100.0 if seed % 2 else 200.0))
         with tempfile.TemporaryDirectory() as place:
             session = LiveSession(Silent(), Path(place) / "rec", USES["ahrs"])
@@ -248,28 +249,40 @@ def study_faults(seeds=10, healthy=20):
     print(f"healthy: {healthy} captures of 60 s, false: {dict(told)}")
 
 
-def study_kill(times=50):
-    rng, least, shortest = np.random.default_rng(0), np.inf, np.inf
+def study_kill(first=0, times=50):
+    """Kill a capture of a recording at any moment of it, and calibrate what it left."""
+    rng, lost, fewest, outcomes = np.random.default_rng(first), -np.inf, np.inf, Counter()
     program = (
         "import sys,time\nfrom pathlib import Path\nfrom gnomon.live.session import LiveSession\n"
         "from gnomon.live.sources import open_source\nfrom gnomon.options.requirements import USES\n"
-        "s=LiveSession(open_source('simulate:1'),Path(sys.argv[1]),USES['ahrs'])\ns.begin_recording()\n"
+        "s=LiveSession(open_source(sys.argv[2]),Path(sys.argv[1]),USES['ahrs'])\ns.begin_recording()\n"
         "while True:\n s.look_at_arrivals(); print(s.recorder.written, flush=True); time.sleep(0.1)\n"
     )
-    for _ in range(times):
-        with tempfile.TemporaryDirectory() as place:
-            process = subprocess.Popen([sys.executable, "-c", program, f"{place}/rec"], stdout=subprocess.PIPE)
+    with tempfile.TemporaryDirectory() as place:
+        simulated = f"{place}/whole.npz"
+        subprocess.run(
+            [sys.executable, "-m", "gnomon", "simulate", "imu", "-o", simulated], check=True, capture_output=True
+        )
+        whole_s = gnomon.read(simulated).imus["imu0"].accelerometer.duration_s
+        for k in range(times):
+            folder = Path(place) / f"rec{k}"
+            words = [sys.executable, "-c", program, str(folder), f"replay:{simulated}@{KILL_SPEED}"]
+            process = subprocess.Popen(words, stdout=subprocess.PIPE)
             process.stdout.readline()
-            time.sleep(rng.uniform(0.5, 3.0))
+            time.sleep(rng.uniform(0.1, 1.0) * whole_s / KILL_SPEED)
             process.send_signal(signal.SIGKILL)
             told = [int(line) for line in process.stdout.read().split()]
             process.wait()
-            kept = len((Path(place) / "rec/samples.log").read_bytes().splitlines())
-            with suppress(gnomon.GnomonError):
-                kept_read = len(gnomon.read(f"{place}/rec").imus["imu0"].accelerometer)
-                least = min(least, kept_read - told[-1])
-            shortest = min(shortest, kept)
-    print(f"kill: {times} times; samples read beyond the last count told: {least} at least; fewest lines {shortest}")
+            kept = (folder / "samples.log").read_bytes().count(b"\n")
+            lost, fewest = max(lost, told[-1] - kept), min(fewest, kept)
+            try:
+                result = gnomon.calibrate_imu(gnomon.read(folder))
+            except gnomon.GnomonError as error:
+                part = "more" if kept > whole_s * RATE_HZ / 2 else "less"
+                outcomes[f"{type(error).__name__} of {part} than half"] += 1
+            else:
+                outcomes[f"calibrated: {result.calibration.verdict}"] += 1
+    print(f"kill: {times} times; lines lost of those told: {lost} at most; fewest lines {fewest}; {dict(outcomes)}")
 
 
 def study_coach(minutes):
@@ -304,9 +317,9 @@ def main():
     elif given.what == "serial":
         study_serial(given.seconds)
     elif given.what == "faults":
-        study_faults()
+        study_faults(given.seeds[0])
     elif given.what == "kill":
-        study_kill()
+        study_kill(given.seeds[0])
     else:
         study_coach(given.minutes)
 

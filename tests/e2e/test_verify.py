@@ -145,3 +145,27 @@ def test_the_command_says_it_in_its_exit_code(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert json.loads(said[said.index("{") :])["state"] == "moved"
     assert "gyroscope" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_magnetometer_beside_new_iron_is_named():
+    field = gnomon.FieldScenario(sensor_seed=1)
+    first, second = (gnomon.simulate_magnetometer(field, seed)[0] for seed in (1, 901))
+    calibration = gnomon.calibrate_magnetometer(first).calibration
+    assert gnomon.verify(calibration, second).state == "holds"
+    wrong = changed(calibration, magnetometer=lambda triad: {"bias": triad.bias + np.array([2.0, 0, 0])})
+    (block,) = gnomon.verify(wrong, second).moved
+    assert (block.path, block.change.quantity) == ("imu0.magnetometer.bias", "heading")
+
+
+@pytest.mark.long
+def test_a_lens_is_verified_by_cameras_alone():
+    scenario = gnomon.CamerasScenario()
+    first, second = (gnomon.simulate_cameras(scenario, seed) for seed in (1, 51))
+    calibration = gnomon.calibrate_cameras(first.recording, first.target).calibration
+    assert gnomon.verify(calibration, second.recording, second.target).state == "holds"
+    camera = calibration.cameras["cam0"]
+    values = camera.camera.parameters.copy()
+    values[:2] *= 1.005
+    wrong = replace(calibration, cameras={"cam0": replace(camera, camera=camera.camera.with_parameters(values))})
+    found = gnomon.verify(wrong, second.recording, second.target)
+    assert [block.path for block in found.moved] == ["cam0.lens"]

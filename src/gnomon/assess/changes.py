@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..geometry.so3 import invert_matrix
+from ..geometry.so3 import invert_matrix, skew
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..recording import Floats
@@ -302,7 +302,7 @@ def _in_image(camera: Camera, change: ParameterChange) -> tuple[float, float]:
 
 
 def lens_movement(
-    camera: Camera, values: Floats, covariance: Floats, columns: Sequence[int] | None = None
+    camera: Camera, values: Floats, covariance: Floats, columns: Sequence[int] | None = None, *, turned: bool = False
 ) -> tuple[float, float, float]:
     """Return how far points of the image move, rms over it, the standard deviation of that, and its largest [px].
 
@@ -310,6 +310,7 @@ def lens_movement(
     ----------
     values, covariance : (k,), (k, k) change of parameters
     columns : which parameters these are; all where not given
+    turned : whether a turn of the camera is taken out, which its pose takes up where nothing holds that
     """
     width, height = camera.resolution
     x, y = np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, _ROWS)
@@ -318,8 +319,13 @@ def lens_movement(
     assert image.by_parameters is not None
     slopes = image.by_parameters[seen & image.valid]  # (n, 2, k)
     slopes = slopes if columns is None else slopes[:, :, columns]
+    if turned:
+        assert image.by_point is not None
+        by_turn = (image.by_point @ skew(rays))[seen & image.valid].reshape(-1, 3)
+        flat = slopes.reshape(len(by_turn), -1)
+        slopes = (flat - by_turn @ np.linalg.lstsq(by_turn, flat, rcond=None)[0]).reshape(slopes.shape)
     gram = np.einsum("nik,nil->kl", slopes, slopes) / max(len(slopes), 1)
     size = float(np.sqrt(max(values @ gram @ values, 0.0)))
     along = gram @ values / max(size, 1e-300)
-    spread = float(np.sqrt(max(np.trace(gram @ covariance), 0.0)))
+    spread = float(np.sqrt(max(np.linalg.eigvals(gram @ covariance).real.max(), 0.0)))
     return size, float(np.sqrt(max(along @ covariance @ along, 0.0))), spread

@@ -75,7 +75,9 @@ def verify(
             "nothing. Record afresh."
         )
     helped = None if wide is None else ComparisonCandidate.of("the prior", wide)
-    return verify_candidate(frozen, ComparisonCandidate.of("the recording", fresh), use, helped)
+    incomplete = any(finding.code == "model-incomplete" for finding in fresh.assessment.findings)
+    found = ComparisonCandidate.of("the recording", fresh)
+    return verify_candidate(frozen, found, use, helped, incomplete=incomplete)
 
 
 def _loaded(source: Result | str | PathLike[str] | Sequence[str | PathLike[str]]) -> Calibration | ForeignCalibration:
@@ -109,11 +111,10 @@ def _estimated(
         recording = replace(recording, cameras=cameras)
         if recording.imus:
             return calibrate_camera_imu(recording, target, CameraImuOptions(compare=False), progress).calibration, None
-        models = {lens.model for name, lens in lenses.items() if name in cameras}
-        options = CameraOptions(model=(models.pop(),)) if len(models) == 1 else CameraOptions()
+        options = CameraOptions(model=tuple(f"{name}={lenses[name].model}" for name in cameras if name in lenses))
         return calibrate_cameras(recording, target, options, progress).calibration, None
     imu = next(iter(frozen.imus.values()))
-    if imu.accelerometer is None and imu.gyroscope is None:
+    if imu.magnetometer is not None and imu.gyroscope is None:
         return calibrate_magnetometer(recording, progress=progress).calibration, None
     wide = _wide(known) if isinstance(known, Calibration) else None
     return calibrate_imu(recording, progress=progress, prior=wide).calibration, wide

@@ -121,7 +121,8 @@ class LivePage:
     def _guarded(self, app: Any) -> Any:
         """Let in only requests to this host, from this page, with the token."""
 
-        async def guard(scope: Any, receive: Any, send: Any) -> None:
+        async def guarded(scope: Any, receive: Any, send: Any) -> None:
+            """Answer one request, as the interface of ASGI has it."""
             from starlette.requests import Request
             from starlette.responses import PlainTextResponse
 
@@ -134,7 +135,7 @@ class LivePage:
                 return
             await app(scope, receive, send)
 
-        return guard
+        return guarded
 
     def _refusal(self, request: Any) -> tuple[int, str] | None:
         """Return status and reason where a request is refused."""

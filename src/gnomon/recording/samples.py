@@ -12,6 +12,15 @@ from .arrays import Floats, Integers, frozen_array, usual_step
 from .dataframes import make_dataframe
 
 
+def _freeze(samples: "TriadSamples | TemperatureSamples", expected: str, row: tuple[int, ...]) -> None:
+    """Make timestamps (n,) and values (n, *row) read-only arrays, if they fit together."""
+    t_ns, values = frozen_array(samples.t_ns, np.int64), frozen_array(samples.values)
+    object.__setattr__(samples, "t_ns", t_ns)
+    object.__setattr__(samples, "values", values)
+    if t_ns.ndim != 1 or values.shape != t_ns.shape + row:
+        raise RecordingError(f"{expected} with n timestamps; found values {values.shape} and timestamps {t_ns.shape}.")
+
+
 @value_class
 class TriadSamples:
     """Samples of one three-axis sensor.
@@ -36,13 +45,7 @@ class TriadSamples:
     unit: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, np.int64))
-        object.__setattr__(self, "values", frozen_array(self.values))
-        if self.values.ndim != 2 or self.values.shape[1] != 3 or self.t_ns.shape != self.values.shape[:1]:
-            raise RecordingError(
-                f"samples must be (n, 3) with n timestamps; found values {self.values.shape} and timestamps "
-                f"{self.t_ns.shape}."
-            )
+        _freeze(self, "samples must be (n, 3)", (3,))
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -101,13 +104,7 @@ class TemperatureSamples:
     unit: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, np.int64))
-        object.__setattr__(self, "values", frozen_array(self.values))
-        if self.values.ndim != 1 or self.t_ns.shape != self.values.shape:
-            raise RecordingError(
-                f"temperatures must be (n,) with n timestamps; found values {self.values.shape} and timestamps "
-                f"{self.t_ns.shape}."
-            )
+        _freeze(self, "temperatures must be (n,)", ())
 
     def __len__(self) -> int:
         return len(self.t_ns)

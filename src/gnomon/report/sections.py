@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from ..recording import Floats
 from ..results.calibration import Calibration, Gravity, ImuCalibration, Provenance
-from .certificate import certificate_tables
+from .certificate.tables import certificate_tables
 from .numbers import number_text, readable_unit
 from .page import Code, KeyNumber, Prose, ReportPage, ReportTable, Section, lift_figures, typeset_finding
 

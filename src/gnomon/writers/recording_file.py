@@ -108,21 +108,21 @@ def _save_csv(imu: ImuSamples, path: Path) -> tuple[Path, ...]:
 def _write_table(
     path: Path, triads: Sequence[TriadSamples], letters: str, temperature: TemperatureSamples | None
 ) -> None:
-    """Write a table, with the temperature in it where that has the same timestamps."""
-    own = [] if temperature is None or not np.array_equal(temperature.t_ns, triads[0].t_ns) else [temperature]
+    """Write a table; a temperature with timestamps of its own is interpolated to those of the samples."""
     with atomic_file(path) as raw:
         # No name and no time in the gzip header: the same recording gives the same bytes.
         packed = path.name.lower().endswith(".gz")
         stream = cast("IO[bytes]", gzip.GzipFile("", "wb", fileobj=raw, mtime=0)) if packed else raw
         text = io.TextIOWrapper(stream, encoding="ascii", newline="")
         names = [f"{letter}{axis} [{t.unit}]" for t, letter in zip(triads, letters, strict=True) for axis in _AXES]
-        names += [f"temperature [{one.unit}]" for one in own]
+        columns = [triads[0].t_ns, *(t.values[:, axis] for t in triads for axis in range(3))]
+        if temperature is not None and len(temperature):
+            names.append(f"temperature [{temperature.unit}]")
+            columns.append(np.interp(triads[0].t_ns, temperature.t_ns, temperature.values))
         text.write(",".join(["t_ns", *names]) + "\n")
         for first in range(0, len(triads[0]), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            columns = [triads[0].t_ns[part], *(t.values[part, axis] for t in triads for axis in range(3))]
-            columns += [one.values[part] for one in own]
-            text.writelines(",".join(row) + "\n" for row in zip(*map(_texts, columns), strict=True))
+            part = [_texts(column[first : first + _CHUNK]) for column in columns]
+            text.writelines(",".join(row) + "\n" for row in zip(*part, strict=True))
         text.flush()
         text.detach()
         if packed:

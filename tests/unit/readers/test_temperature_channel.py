@@ -57,6 +57,15 @@ def test_written_and_read_back(tmp_path, suffix) -> None:
     np.testing.assert_array_equal(found.values, warmth.values)
 
 
+def test_a_slower_thermometer_is_not_lost_in_a_table(tmp_path) -> None:
+    made = Recording.from_arrays(T, np.zeros((100, 3)), np.tile([0, 0, 9.81], (100, 1)))
+    imu = made.imus["imu0"]
+    slow = TemperatureSamples(t_ns=imu.accelerometer.t_ns[::33], values=20 + T[::33], unit="degC")
+    save_recording(replace(made, imus={"imu0": replace(imu, temperature=slow)}), tmp_path / "log.csv")
+    found = read(tmp_path / "log.csv").imus["imu0"].temperature
+    np.testing.assert_allclose(found.values, 20 + T, atol=1e-9)
+
+
 def test_the_thermometer_in_a_log_of_ardupilot(tmp_path) -> None:
     columns = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T"
     head = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns", f"FMT, 172, 40, IMU, QBfffffff, {columns}"]

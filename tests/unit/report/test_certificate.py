@@ -10,8 +10,8 @@ from gnomon.cli.command import CertificateFacts
 from gnomon.cli.inputs import result_with_reading
 from gnomon.errors import OptionError
 from gnomon.report import write_report
-from gnomon.report.certificate import certificate_tables
-from gnomon.report.certificate_pdf import write_certificate
+from gnomon.report.certificate.pdf import write_certificate
+from gnomon.report.certificate.tables import certificate_tables
 from gnomon.report.page import parameter_line
 from html_page import Page
 

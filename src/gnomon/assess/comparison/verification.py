@@ -21,8 +21,9 @@ import numpy as np
 
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...options.requirements import BETWEEN_RECORDINGS, FIELD_UT, Use
+from ...options.requirements import BETWEEN_RECORDINGS, FIELD_UT, TURN_ON, Use
 from ...recording import Floats, frozen_array
+from ...results.calibration import ImuCalibration
 from ...results.trust import QuantityChange, Verdict
 from ..changes import OF_HEADING, lens_movement, needed_of, told_with_cure, unit_of_quantity
 from ..verdict import merge_by_cause, verdict_of
@@ -44,6 +45,11 @@ _HEADLINES: Mapping[State, str] = {
     "holds": "the calibration still holds, as far as this recording tells",
     "cannot tell": "this recording cannot tell whether the calibration still holds",
 }
+_INCOMPLETE = (
+    "The corners of the fresh recording err in ways that no model here explains, which a lens takes up differently "
+    "each time: lenses are not judged."
+)
+_EXACT = "{name} states no standard deviations: its numbers count as exact, and their own errors as movement."
 _QUANTITIES: Mapping[str, str] = {
     "scale": "{triad}_scale",
     "misalignment": "{triad}_misalignment",
@@ -132,6 +138,8 @@ def verify_candidate(
     fresh: ComparisonCandidate,
     use: Use | None = None,
     wide: ComparisonCandidate | None = None,
+    *,
+    incomplete: bool = False,
 ) -> Verification:
     """Tell which blocks of a calibration a fresh estimate contradicts.
 
@@ -141,13 +149,19 @@ def verify_candidate(
     fresh : the estimate from a fresh recording
     use : what the calibration is for
     wide : the prior by which the fresh estimate was helped; its values are those of `frozen`
+    incomplete : whether the fresh estimate's model leaves errors of the corners unexplained, which a lens takes up
+        otherwise in each recording, beyond its sigmas; lenses are then not judged
     """
     if fresh.verdict == "fail":
         return _untold(use)
     given = [frozen, fresh] if wide is None else [frozen, fresh, wide]
     statements = [statement_of(one) for one in at_common_origins([in_common_frame(one) for one in given])]
     known, found = statements[:2]
-    paths = [path for path, one in found.quantities.items() if _comparable(known, one)]
+    paths = [
+        path
+        for path, one in found.quantities.items()
+        if _comparable(known, one) and not (incomplete and one.kind == "lens")
+    ]
     helped = None if wide is None else statements[2]
     movement = _movement(known, found, paths, helped, same_gravity=shares_gravity(frozen, fresh))
     certain = _certain(movement)
@@ -156,7 +170,7 @@ def verify_candidate(
         quantity = known.quantities[path]
         values, covariance, log_p = _of_block(path, movement, certain)
         change, seen = _in_unit_of_need(quantity, values, covariance, known, frozen)
-        needed = 0.0 if quantity.kind == "bias" else needed_of(change, use)  # counted beyond what is usual alone
+        needed = 0.0 if change.quantity in TURN_ON else needed_of(change, use)  # counted beyond what is usual alone
         matters = path in certain and (not needed or change.size > _MATTERS * needed)
         blocks.append(
             VerifiedBlock(
@@ -170,7 +184,10 @@ def verify_candidate(
                 needed=needed,
             )
         )
-    return _judged(tuple(blocks), frozen, use)
+    notes = [_INCOMPLETE] if incomplete and frozen.cameras else []
+    if frozen.covariance is None:
+        notes.append(_EXACT.format(name=frozen.name))
+    return _judged(tuple(blocks), use, tuple(notes))
 
 
 def _comparable(known: Statement, one: ComparedQuantity) -> bool:
@@ -296,14 +313,14 @@ def _in_unit_of_need(
     name = _quantity_of(quantity)
     sensor, _, rest = quantity.path.partition(".")
     if name == "lens":
-        size, sigma, spread = lens_movement(frozen.all_lenses[sensor], values, covariance)
+        size, sigma, spread = lens_movement(frozen.all_lenses[sensor], values, covariance, turned=not frozen.imus)
     else:
         scale = known.quantities.get(f"{sensor}.{rest.partition('.')[0]}.scale")
         by = np.ones(len(values))
         if quantity.kind in {"scale", "bias", "g-sensitivity"} and scale is not None:
             by = 1 / np.repeat(np.abs(scale.values), len(values) // 3)
         if name == "heading":
-            by = by * (OF_HEADING / (FIELD_UT if quantity.kind == "bias" else 1.0))
+            by = by * (OF_HEADING / (_field(frozen.imus[sensor]) if quantity.kind == "bias" else 1.0))
         moved, shared = by * values, covariance * np.outer(by, by)
         if quantity.kind in {"scale", "g-sensitivity"}:  # needs are of single numbers
             worst = int(np.argmax(np.abs(moved)))
@@ -320,6 +337,12 @@ def _in_unit_of_need(
     return change, _SEEN * spread
 
 
+def _field(imu: ImuCalibration) -> float:
+    """Return the strength of the field in the unit in which a magnetometer's calibration states it."""
+    assert imu.magnetometer is not None
+    return FIELD_UT if imu.magnetometer.field_unit == "uT" else 1.0
+
+
 def movement_words(block: VerifiedBlock) -> tuple[str, str, str, str, str]:
     """Return a block for a table: its name, by how much it moved, what is needed, log10 of p, and its state."""
     unit, size = unit_of_quantity(block.change.quantity)
@@ -328,17 +351,11 @@ def movement_words(block: VerifiedBlock) -> tuple[str, str, str, str, str]:
     return block.words, moved, needed, f"{block.log_probability / np.log(10):.1f}", block.state
 
 
-def _judged(blocks: tuple[VerifiedBlock, ...], frozen: ComparisonCandidate, use: Use | None) -> Verification:
+def _judged(blocks: tuple[VerifiedBlock, ...], use: Use | None, notes: tuple[str, ...]) -> Verification:
     findings = list(_findings(blocks, use))
     told = [block for block in blocks if block.state != "cannot tell"]
     state: State = "moved" if any(block.state == "moved" for block in blocks) else "holds" if told else "cannot tell"
     moved = sorted((block for block in blocks if block.state == "moved"), key=lambda block: block.log_probability)
-    notes: list[str] = []
-    if frozen.covariance is None:
-        notes.append(
-            f"{frozen.name} states no standard deviations: its numbers count as exact, so that their own errors are "
-            "counted as movement."
-        )
     ordered = merge_by_cause(findings)
     return Verification(
         state=state,
@@ -347,7 +364,7 @@ def _judged(blocks: tuple[VerifiedBlock, ...], frozen: ComparisonCandidate, use:
         findings=ordered,
         verdict=verdict_of(ordered),
         headline=_HEADLINES[state].format(blocks=", ".join(block.words for block in moved)),
-        notes=tuple(notes),
+        notes=notes,
     )
 
 

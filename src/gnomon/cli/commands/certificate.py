@@ -29,7 +29,7 @@ class Certificate(Command):
     def run(self, terminal: Terminal) -> int:
         """Write the certificate, and return the exit code of the calibration."""
         from ...formats.own.calibration_file import calibration_at, load
-        from ...report.certificate_pdf import write_certificate
+        from ...report.certificate.pdf import write_certificate
 
         calibration = load(calibration_at(self.calibration))
         write_certificate(calibration, self.output)

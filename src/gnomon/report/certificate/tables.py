@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 
-from ..frozen import FrozenMapping
-from ..results.calibration import Calibration
-from .camera_parameters import camera_groups, lens_groups, pose_groups
-from .imu_parameters import imu_groups, parameter_groups
-from .numbers import MISSING, fixed_text
-from .page import ParameterGroup, ReportTable
+from ...frozen import FrozenMapping
+from ...results.calibration import Calibration
+from ..camera_parameters import camera_groups, lens_groups, pose_groups
+from ..imu_parameters import imu_groups, parameter_groups
+from ..numbers import MISSING, fixed_text
+from ..page import ParameterGroup, ReportTable
 
 STATED: Mapping[str, str] = FrozenMapping(
     {

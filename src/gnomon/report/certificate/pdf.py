@@ -5,13 +5,13 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import OptionError
-from ..findings import printable_text
-from ..output import write_whole
-from ..results.calibration import Calibration
-from .certificate import certificate_tables
-from .page import ReportTable, typeset_finding
-from .sections import HEADLINES
+from ...errors import OptionError
+from ...findings import printable_text
+from ...output import write_whole
+from ...results.calibration import Calibration
+from ..page import ReportTable, typeset_finding
+from ..sections import HEADLINES
+from .tables import certificate_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
