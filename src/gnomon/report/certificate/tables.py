@@ -52,15 +52,18 @@ def _stated(calibration: Calibration) -> ReportTable:
 
 
 def _numbers(calibration: Calibration) -> ReportTable:
-    rows = [
-        (f"{where}{_called(group.title, row.name)}", row.value, row.expanded or MISSING, row.unit)
-        for where, group in _groups(calibration)
-        for row in group.rows
-    ]
+    rows: list[tuple[str, ...]] = []
+    for where, group in _groups(calibration):
+        if rows and len(rows) + len(group.rows) > _MOST:  # a group is shown as a whole
+            break
+        rows += [
+            (f"{where}{_called(group.title, row.name)}", row.value, row.expanded or MISSING, row.unit)
+            for row in group.rows
+        ]
     return ReportTable(
         "The numbers that matter",
         ("", "estimate", "U = 2σ", "unit"),
-        rows[:_MOST],
+        rows,
         "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated.",
         dense=True,
     )
