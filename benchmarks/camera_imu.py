@@ -30,7 +30,6 @@ from imu import DATA, HERE, Table, child, machine
 
 import gnomon
 from gnomon.calibrate import camera_imu as recipe
-from gnomon.calibrate.steps import camera_imu_model as model_choice
 
 RUNS = 5
 PROCESS_RUNS = 3
@@ -162,14 +161,7 @@ def in_memory(found: list[Recorded]) -> Table:
 @contextmanager
 def clocked(seconds: dict[str, list[float]]) -> Generator[None]:
     """Note the CPU time of each call of what makes up a calibration."""
-    pieces = (
-        (recipe, "estimated"),
-        (recipe, "chosen_model"),
-        (recipe, "uncertainty"),
-        (recipe, "recording_trust"),
-        (model_choice, "solved"),
-        (model_choice, "cluster_sums"),
-    )
+    pieces = ("estimate_rig", "select_model", "_with_uncertainty", "recording_trust")
 
     def noting(name: str, work: Callable[..., object]) -> Callable[..., object]:
         def noted(*arguments: object, **named: object) -> object:
@@ -180,26 +172,26 @@ def clocked(seconds: dict[str, list[float]]) -> Generator[None]:
 
         return noted
 
-    kept = [getattr(module, name) for module, name in pieces]
-    for (module, name), work in zip(pieces, kept, strict=True):
-        setattr(module, name, noting(name, work))
+    kept = {name: getattr(recipe, name) for name in pieces}
+    for name, work in kept.items():
+        setattr(recipe, name, noting(name, work))
     try:
         yield
     finally:
-        for (module, name), work in zip(pieces, kept, strict=True):
-            setattr(module, name, work)
+        for name, work in kept.items():
+            setattr(recipe, name, work)
 
 
 def trust(found: list[Recorded]) -> Table:
     """Tell what the choice of the model and the covariance from clusters of time cost beside the solve."""
     table = Table(
         "Model \"auto\": what its choice and the covariance from clusters of time cost",
-        ("", "base solve [s]", "larger models [s]", "judging models [s]", "CR3 and splits [s]", "of all solving",
-         "**calibration [s]**", "of the reference", "joined the model"),
+        ("", "first solve [s]", "choosing the model [s]", "covariance and trust [s]", "**calibration [s]**",
+         "of the reference", "joined the model"),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "walk"
-        if child(["-m", "gnomon", "simulate-camera-imu", "-o", str(folder), "--duration-s", "60", "--seed", "1"])[2]:
+        if child(["-m", "gnomon", "simulate", "camera-imu", "-o", str(folder), "--duration-s", "60", "--seed", "1"])[2]:
             raise SystemExit("the simulation failed")
         healthy = Recorded(name="simulated, 60 s, nothing wrong", folder=folder, stated=folder, model="auto")
         for one in (healthy, *found):
@@ -211,24 +203,18 @@ def trust(found: list[Recorded]) -> Table:
                 with clocked(seconds):
                     result = gnomon.calibrate_camera_imu(recording, target)
                 total = time.process_time() - start
-                (base,), larger, sums = seconds["estimated"], sum(seconds.get("solved", [])), seconds["cluster_sums"]
-                judging = seconds["chosen_model"][0] - larger - sums[-1]
-                cr3 = sums[-1] + seconds["uncertainty"][0] + seconds["recording_trust"][0]
+                certain = sum(seconds["_with_uncertainty"] + seconds["recording_trust"])
                 relative = 2 * total / (before + reference())
-                rows.append((base, larger, judging, cr3, 100 * cr3 / (base + larger), total, relative))
-            base, larger, judging, cr3, share, total, relative = (
-                statistics.median(each) for each in zip(*rows, strict=True)
-            )
+                rows.append((sum(seconds["estimate_rig"]), sum(seconds["select_model"]), certain, total, relative))
+            first, choosing, certain, total, relative = (statistics.median(each) for each in zip(*rows, strict=True))
             note = result.calibration.assessment.trust
             table.add(
-                one.name.partition(", full")[0].partition(", basic")[0], f"{base:.2f}", f"{larger:.2f}",
-                f"{judging:.2f}", f"{cr3:.2f}", f"{share:.0f} %", f"**{total:.2f}**", f"{relative:.0f}",
-                ", ".join(note.added) if note is not None else "",
+                one.name.partition(", full")[0].partition(", basic")[0], f"{first:.2f}", f"{choosing:.2f}",
+                f"{certain:.2f}", f"**{total:.2f}**", f"{relative:.0f}", ", ".join(note.added) if note else "",
             )  # fmt: skip
     table.note = (
-        f"Medians of {PROCESS_RUNS} runs. Larger models: estimating along what joined the model. Judging: the sums of "
-        "clusters of models that were not the last, and the pattern of the board's corners. CR3 and splits: the sums "
-        "of clusters of the last model, the covariance and halves and thirds from them."
+        f"Medians of {PROCESS_RUNS} runs. Choosing the model: tests of what may join it, estimating what joined along, "
+        "and the sums of clusters of time."
     )
     return table
 
@@ -314,7 +300,7 @@ def long_recordings(minutes: list[float]) -> Table:
     for length in minutes:
         with tempfile.TemporaryDirectory() as place:
             folder, output = Path(place) / "walk", Path(place) / "times.txt"
-            arguments = ["simulate-camera-imu", "-o", str(folder), "--duration-s", f"{60 * length:g}", "--seed", "1"]
+            arguments = ["simulate", "camera-imu", "-o", str(folder), "--duration-s", f"{60 * length:g}", "--seed", "1"]
             if child(["-m", "gnomon", *arguments])[2]:
                 message = f"the simulation of {length:g} min failed"
                 raise SystemExit(message)

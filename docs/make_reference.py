@@ -99,6 +99,7 @@ _SECTIONS = {
         "calibrate_imu",
         "calibrate_camera_imu",
         "calibrate_cameras",
+        "calibrate_temperature",
         "calibrate_turntable",
         "rate_from_video",
         "calibrate_magnetometer",

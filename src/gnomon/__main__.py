@@ -22,6 +22,7 @@ _TIDYING_S = 1.5
 """So long the work may take to end by itself; one long step in a library does not ask whether it should."""
 _NARROWEST = 40
 """Columns that the help needs; with fewer, laying it out takes for ever."""
+_INTERRUPTED = "gnomon: interrupted; no file is half-written."
 
 
 def main() -> None:
@@ -44,7 +45,7 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output has gone, as with `gnomon show FILE | head`
         code = 1
     except KeyboardInterrupt as stop:  # before there was anything to tidy up
-        _say("gnomon: interrupted.")
+        _say(_INTERRUPTED)
         code = getattr(stop, "exit_code", 130)  # an EndedError has that of its signal
     except (OSError, ImportError) as error:  # the output is on a full disk, or too few files may be open to begin
         words = system_error_words(error)
@@ -119,7 +120,7 @@ def _end_in_time(heard: int) -> None:
             from .output import drop_unfinished
 
             drop_unfinished()
-            os.write(2, b"gnomon: interrupted; no file is half-written.\n")
+            os.write(2, f"{_INTERRUPTED}\n".encode())
             os._exit(128 + data[0])
 
 

@@ -239,3 +239,17 @@ def test_an_accelerometer_alone(table, run, tmp_path, names):
     code, _, err = run("noise", tmp_path / "a.npz")
     assert code == 0, err
     assert names(tmp_path / "a-noise") == ["allan.csv", "noise.yaml", "report.html"]
+
+
+def test_compares_with_a_data_sheet(simulated, run, tmp_path):
+    sheet = tmp_path / "mine.yaml"
+    sheet.write_text("MINE: {source: made up, gyroscope: {random_walk: 0.6875 deg/sqrt(h)}}", encoding="utf-8")
+    code, out, _ = run("noise", simulated, "--datasheet", sheet, "-o", tmp_path / "out", "--json")
+    assert code == 0
+    (quantity,) = json.loads(out)["datasheet"]["quantities"]
+    assert quantity["ratio"] == pytest.approx(1, abs=0.02)
+    assert "Against the data sheet" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "deg/sqrt(h)" in (tmp_path / "out" / "noise.yaml").read_text(encoding="utf-8")
+    code, _, err = run("noise", simulated, "--bandwidth-hz", 50, "-o", tmp_path / "other")
+    assert code == 2
+    assert "--datasheet" in err

@@ -81,6 +81,7 @@ def test_sigterm_ends_a_long_step_of_a_library_within_two_seconds(tmp_path):
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
+        time.sleep(0.3)  # until the library is at it
         began = time.monotonic()
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=30)

@@ -262,6 +262,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "corner residual": (1.0, 3.0),
     "left out": (0.25, 0.6),
     "board size": (3e-3, 3e-2),
+    "scene size": (1e-2, 5e-2),
     "focal length": (3e-3, 3e-2),
     "centre": (2.0, 15.0),
     "stated centre": (1.0, 15.0),  # 1 px is some 0.1 deg of rotation

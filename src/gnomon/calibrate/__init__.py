@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .platter_rate import rate_from_video
     from .steps.camera_imu_reading import read_camera_imu
     from .steps.camera_reading import read_camera_views
+    from .temperature import calibrate_temperature
     from .turntable import calibrate_turntable
 
 _HOMES = {
@@ -21,6 +22,7 @@ _HOMES = {
     "calibrate_cameras": "cameras",
     "calibrate_imu": "imu",
     "calibrate_magnetometer": "magnetometer",
+    "calibrate_temperature": "temperature",
     "calibrate_turntable": "turntable",
     "identify_noise": "noise",
     "judge": "judging",
@@ -36,6 +38,7 @@ __all__ = [
     "calibrate_cameras",
     "calibrate_imu",
     "calibrate_magnetometer",
+    "calibrate_temperature",
     "calibrate_turntable",
     "identify_noise",
     "judge",

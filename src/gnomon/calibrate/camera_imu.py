@@ -47,6 +47,7 @@ from .steps.camera_imu_model import (
     candidate_blocks,
     select_model,
     shutters_estimated,
+    with_free_landmarks,
     with_line_delays,
     with_stated_shutters,
 )
@@ -103,6 +104,7 @@ def _calibrated(
     recording: Recording, target: Target, options: CameraImuOptions, tell: Progress, prior: Priors
 ) -> Result:
     tell("checking the recording")
+    stated, options = options, with_free_landmarks(options, target)
     refuse_own_data(prior, recording.sources)
     recording = with_stated_shutters(recording, options)
     recording, copied = without_copies(recording)
@@ -138,7 +140,7 @@ def _calibrated(
         gravity=gravity,
         published=publish_rig(certain, solution.state.parameters, gravity_sigma=gravity.sigma),
     )
-    return _assess(fit, chosen, prepared, rolling=rolling, uncompared=uncompared, stated=options)
+    return _assess(fit, chosen, prepared, rolling=rolling, uncompared=uncompared, stated=stated)
 
 
 def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) -> RigBeforehand:

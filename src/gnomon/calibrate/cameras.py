@@ -50,6 +50,9 @@ _MOST_TO_CHOOSE_BY = 40
 _MOST_TO_SYNCHRONISE = 150
 """Views by which the cameras' clocks are compared."""
 
+_ALIKE_PX = 0.05
+"""Views whose corners lie closer to each other than this, root mean square, are the same image once more."""
+
 _FEW = {"views-few"}
 
 
@@ -86,7 +89,7 @@ def calibrate_cameras(
 
 def _calibrated(recording: Recording, target: Target, options: CameraOptions, tell: Progress) -> Result:
     tell("checking the recording")
-    recording, copied = without_copies(recording)
+    recording, copied = without_copies(recording, alike_px=_ALIKE_PX)
     noticed = (*copied, *_checked(recording, target))
     models = stated_models(options.model, tuple(recording.cameras))
     check_baseline(options, len(recording.cameras))

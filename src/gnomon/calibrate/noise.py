@@ -20,7 +20,6 @@ from ..assess.verdict import merge_by_cause, verdict_of
 from ..detect.samples.noise import averaging_time
 from ..detect.samples.repeats import RepeatWatch
 from ..detect.samples.rest import RestTable, RestWatch
-from ..detect.samples.rounding import smallest_steps
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
@@ -36,7 +35,7 @@ from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
 from ..readers.samples.stream import open_stream, stream_of
-from ..recording import Floats, Recording, Source, TriadSamples
+from ..recording import Floats, Recording, Source, TriadSamples, smallest_steps
 from ..results.calibration import Provenance
 from ..results.sensor_noise import (
     SENSOR_UNITS,

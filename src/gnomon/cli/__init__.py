@@ -47,12 +47,12 @@ def main(arguments: Sequence[str]) -> int:
         full = isinstance(error, OSError) and error.filename is None and system_error_words(error)
         if full or os.environ.get("GNOMON_DEBUG"):  # nothing more can be said on that output
             raise
-        return _failed(terminal, type(error).__name__, *_explained(error))
+        return _failed(terminal, type(error).__name__, *explain_error(error))
     finally:
         terminal.close()
 
 
-def _explained(error: BaseException) -> tuple[str, int]:
+def explain_error(error: BaseException) -> tuple[str, int]:
     """Return what a person is told about an error, and the exit code."""
     match error:
         case OptionError():

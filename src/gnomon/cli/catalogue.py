@@ -15,7 +15,7 @@ from .parsing.line import help_width, parse_line
 
 ABOUT = "Calibrate an IMU, alone or with cameras, without mechanical equipment."
 _LAST = "gnomon COMMAND --help shows the options of a command, and examples."
-_EXIT_CODES = "Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."
+_EXIT_CODES = "Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 the verdict says no."
 _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "calibrate": {
         "imu": ("imu.Imu", "an IMU that was turned by hand and held still; or static poses"),
@@ -24,6 +24,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "turntable": ("turntable.Turntable", "a gyroscope on a turntable, such as a record player"),
         "magnetometer": ("magnetometer.Magnetometer", "a magnetometer that was turned by hand"),
         "noise": ("noise.Noise", "the noise of an IMU, from a long recording at rest"),
+        "temperature": ("temperature.Temperature", "how an IMU changes with its temperature, from warm-ups at rest"),
     },
     "prepare": {
         "live": ("live.Live", "record a sensor with guidance on what to do next"),
@@ -40,6 +41,8 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "convert": ("convert.Convert", "write a calibration or recording in another format"),
         "compare": ("compare.Compare", "calibrations of one rig, made by any program"),
         "verify": ("verify.Verify", "whether a calibration still holds, by a fresh recording"),
+        "batch": ("batch.Batch", "calibrate many devices, a recording each, into a library"),
+        "library": ("library.LibraryCommand", "a library of many devices: list, history, chart, report, export"),
     },
     "try": {
         "demo": ("imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
@@ -49,8 +52,10 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),
         "simulate magnetometer": ("magnetometer.SimulateMagnetometer", "a magnetometer turned by hand"),
         "simulate noise": ("noise.SimulateNoise", "a long recording at rest"),
+        "simulate temperature": ("temperature.SimulateTemperature", "warm-ups at rest, with a thermometer"),
         "simulate cameras": ("camera.SimulateCameras", "cameras in front of a board"),
         "simulate camera-imu": ("camera_imu.SimulateCameraImu", "cameras and an IMU in front of a board"),
+        "simulate room": ("room.SimulateRoom", "a camera and an IMU in a room, without a board"),
         "study": ("study.Study", "repeat a published experiment many times"),
         "completion": ("completion.Completion", "complete commands and options with the tab key"),
     },
@@ -131,7 +136,7 @@ def _help() -> str:
     for title, group in _GROUPS.items():
         lines = [(name, about) for name, (_, about) in group.items() if " " not in name]
         if title == "try":
-            lines.insert(1, ("simulate KIND", f"a recording, and its truth, of kind {join_names(SIMULATED, 'or')}"))
+            lines.insert(1, ("simulate KIND", f"a recording: {join_names(SIMULATED, 'or')}"))
         filled = [
             textwrap.fill(f"  {name:<{indent - 2}}{about}", width, subsequent_indent=" " * indent)
             for name, about in lines

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 OF_IMUS = ("imu.yaml", "groundtruth.txt")
 """Files beside a simulated recording of cameras and an IMU that one of cameras alone has not."""
 
+RIG_FILES = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
+"""What a recording of cameras and an IMU consists of."""
+
 
 def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal, *, then: str) -> int:
     """Write the recording of one sensor as `path`, its truth beside it, and return the exit code.

@@ -6,13 +6,18 @@ ArduPilot corrects f = (a - OFFS) SCAL, element by element, and w = y - OFFS, in
 
 from collections.abc import Iterator, Mapping
 
-from ..results.calibration import Calibration
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from ..results.calibration import Calibration, ImuCalibration
 from .shared.flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
 from .shared.losses import Context, Export, Loss
+from .shared.si_units import si_conversions
 
 FILE = "ardupilot.param"
 
 _IMUS = 3
+_REFERENCE_DEGC = 35.0
 _SCALES, _LARGEST_OFFSET = (0.8, 1.2), 3.5  # ranges of its parameters [1], [m/s^2]
 _HEAD = """\
 # Sensor calibration for ArduPilot, made by gnomon. With samples a [m/s^2] and y [rad/s] as the drivers give them, axis
@@ -33,9 +38,43 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     imus = require_flight_imus(calibration, "ArduPilot", _IMUS)
     rows = [f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _names(i).values(imu)]
+    rows += [
+        f"{name},{value!r}\n"
+        for i, imu in enumerate(list(calibration.imus.values())[:_IMUS])
+        for name, value in _temperature(i, imu)
+    ]
     head = flight_head(_HEAD, calibration, context)
     losses = (*flight_losses(calibration, "ArduPilot", _IMUS, context), *_range_losses(imus), *_start_losses(imus))
     return Export(files={FILE: head + "".join(rows)}, losses=losses)
+
+
+def _temperature(index: int, imu: ImuCalibration) -> Iterator[tuple[str, float]]:
+    """Yield name and value of the temperature's parameters.
+
+    ArduPilot takes p(T) - p(CALTEMP) off the samples, with p(T) = 1e-6 (c1 e + c2 e^2 + c3 e^3) and e = T - 35 degC,
+    and T no farther than TMIN and TMAX, before it applies offsets and scales.
+    """
+    found = imu.temperature
+    if found is None or not any(part.endswith("_bias") for part, _ in found.parts()):
+        return
+    prefix, number = f"INS_TCAL{index + 1}_", str(index + 1)
+    yield f"{prefix}ENABLE", 1
+    yield f"{prefix}TMIN", found.low_degc
+    yield f"{prefix}TMAX", found.high_degc
+    for conversion in si_conversions(imu):
+        coefficients = getattr(found, f"{conversion.triad}_bias")
+        name = {"accelerometer": "ACC", "gyroscope": "GYR"}[conversion.triad]
+        yield f"INS_{name}{number}_CALTEMP", found.reference_degc
+        moved = np.zeros((3, 3))
+        if coefficients is not None:
+            whole = np.concatenate([np.zeros((1, 3)), coefficients * conversion.factor])
+            about = Polynomial([_REFERENCE_DEGC - found.reference_degc, 1.0])  # T - T_ref by T - 35
+            for axis in range(3):
+                shifted = np.asarray(Polynomial(whole[:, axis])(about).coef[1:], dtype=np.float64)
+                moved[: len(shifted), axis] = 1e6 * shifted
+        for order, row in enumerate(moved.tolist(), 1):
+            for axis, value in zip("XYZ", row, strict=True):
+                yield f"{prefix}{name}{order}_{axis}", value
 
 
 def _names(index: int) -> ParameterNames:

@@ -11,6 +11,7 @@ import numpy as np
 from ..geometry.so3 import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
+from ..results.sensors import TemperatureDependence
 from .own.calibration_text import FRAMES
 from .shared.losses import Context, Export, Loss
 from .shared.sensor_losses import Holds, not_representable
@@ -63,7 +64,19 @@ _PRODUCT = """\
         {pad}     + gnomon_{imu}_{triad}_correction[i][2] * d[2];
 """
 
-HOLDS = Holds(program="the C header", cameras=0, samples_in_si=False, magnetometer=True)
+_TEMPERATURE = """\
+/* {imu}: takes off the samples, in place, what the temperature changes: first this, then gnomon_{imu}_apply.
+ * degc: of the chip [degC], {low:g} to {high:g}; beyond it is taken for the nearer end. */
+static inline void gnomon_{imu}_at_reference({arguments}, float degc)
+{{
+    const float t = degc < {low_literal} ? {low_literal} : degc > {high_literal} ? {high_literal} : degc;
+    const float d = t - {reference};
+    for (int i = 0; i < 3; ++i) {{
+{body}    }}
+}}
+"""
+
+HOLDS = Holds(program="the C header", cameras=0, samples_in_si=False, magnetometer=True, temperature=True)
 
 
 def export(calibration: Calibration, context: Context) -> Export:
@@ -84,6 +97,8 @@ def export(calibration: Calibration, context: Context) -> Export:
         parts.append(_constants(identifier, imu))
         if imu.accelerometer is not None or imu.gyroscope is not None:
             parts.append(_function(identifier, imu))
+        if imu.temperature is not None and dict(imu.temperature.parts()):
+            parts.append(_temperature_function(identifier, imu.temperature))
         if imu.magnetometer is not None:
             parts.append(_magnetometer_function(identifier, imu.magnetometer.unit, imu.magnetometer.field_unit))
     text = "\n".join([*parts, "#endif\n"])
@@ -140,6 +155,25 @@ def _function(imu: str, calibration: ImuCalibration) -> str:
     return _FUNCTION.format(
         imu=imu, units=" and ".join(units), results=" and ".join(meant), notes=note, suffix="",
         arguments=", ".join([*samples, *results]), body=body,
+    )  # fmt: skip
+
+
+def _temperature_function(imu: str, found: TemperatureDependence) -> str:
+    """Return the function that takes samples to the reference temperature."""
+    parts = {part.removesuffix("_bias"): value for part, value in found.parts()}
+    body, constants = "", ""
+    for triad, coefficients in parts.items():
+        name = f"gnomon_{imu}_{triad}_by_temperature"
+        rows = ", ".join(map(_row, coefficients))
+        constants += f"static const float {name}[{len(coefficients)}][3] = {{{rows}}};\n"
+        change = f"{name}[{len(coefficients) - 1}][i]"
+        for order in range(len(coefficients) - 2, -1, -1):
+            change = f"({name}[{order}][i] + d * {change})"
+        body += f"        {triad}[i] -= d * {change};\n"
+    return constants + _TEMPERATURE.format(
+        imu=imu, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
+        high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc), body=body,
+        arguments=", ".join(f"float {triad}[3]" for triad in parts),
     )  # fmt: skip
 
 

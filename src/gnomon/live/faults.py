@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.samples.rounding import smallest_steps
 from ..detect.samples.saturation import saturated_samples
-from ..recording import Floats, ImuSamples, TriadSamples
+from ..recording import Floats, ImuSamples, TriadSamples, smallest_steps
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 
 _SLOW_HZ = 80.0

@@ -12,6 +12,7 @@ The board's frame is the world of a camera calibration; z = 0 on the board.
                   along rows of cols - 1 corners, from the uppermost row down, from left to right (OpenCV's ids); x
                   right, y up, z to the viewer, from the lower left inner corner. The markers are numbered along the
                   rows of squares from the upper left, from first_tag.
+    landmarks     no board, but points of a scene that were mapped from images; axes and origin are any.
 """
 
 from dataclasses import field
@@ -26,14 +27,15 @@ from ..frozen import value_class
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-TargetKind = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
+TargetKind = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco", "landmarks"]
 
-_FEWEST = {"aprilgrid": 1, "checkerboard": 2, "circlegrid": 2, "charuco": 3}
+_FEWEST = {"aprilgrid": 1, "checkerboard": 2, "circlegrid": 2, "charuco": 3, "landmarks": 1}
 _LENGTHS = {
     "aprilgrid": ("tag_size_m", "tag_spacing"),
     "checkerboard": ("row_spacing_m", "col_spacing_m"),
     "circlegrid": ("spacing_m",),
     "charuco": ("square_size_m", "marker_size_m"),
+    "landmarks": (),
 }
 
 
@@ -43,7 +45,7 @@ class Target:
 
     Attributes
     ----------
-    kind : "aprilgrid", "checkerboard", "circlegrid" or "charuco"
+    kind : "aprilgrid", "checkerboard", "circlegrid", "charuco", or "landmarks" of a scene without a board
     cols, rows : number of tags, of inner corners, of circles or of the squares of a ChArUco board
     tag_size_m : side of a tag (aprilgrid) [m]
     tag_spacing : gap between two tags over the side of a tag (aprilgrid)
@@ -56,6 +58,7 @@ class Target:
     asymmetric : whether every other row of circles is shifted (circlegrid)
     square_size_m, marker_size_m : side of a square and of the marker in it (charuco) [m]
     dictionary : OpenCV's name of the markers without "DICT_", such as "4X4_50" (charuco)
+    places : (n, 3) of landmarks, roughly [m]
     legacy : whether the square at the upper left is white where the number of rows is even, as OpenCV before 4.6 had
         it; otherwise it is always black (charuco)
     points : (n, 3) the points in the board's frame, in Kalibr's order [m]; follows from the rest
@@ -91,6 +94,7 @@ class Target:
     marker_size_m: float = 0.0
     dictionary: str = ""
     legacy: bool = False
+    places: Floats | None = field(default=None, repr=False)
     points: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -180,6 +184,11 @@ class Target:
             legacy=legacy,
         )
 
+    @classmethod
+    def landmarks(cls, places: Floats) -> Self:
+        """Return points (n, 3) of a scene [m]; where they truly are is to be estimated."""
+        return cls(kind="landmarks", cols=len(places), rows=1, places=places)
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -196,6 +205,8 @@ class Target:
 
     def describe(self) -> str:
         """Return the board in a few words, such as "AprilGrid 6 x 6, tags of 88 mm, gap 26.4 mm"."""
+        if self.kind == "landmarks":
+            return f"{len(self)} landmarks of the scene"
         grid = f"{self.cols} x {self.rows}"
         if self.kind == "aprilgrid":
             gap = self.tag_spacing * self.tag_size_m
@@ -246,6 +257,10 @@ class Target:
 
     def _points(self) -> Floats:
         """Return the points (n, 3), read-only."""
+        if self.kind == "landmarks":
+            points = np.array(self.places, dtype=np.float64)
+            points.flags.writeable = False
+            return points
         if self.kind == "charuco":
             row, col = np.divmod(np.arange((self.rows - 1) * (self.cols - 1)), self.cols - 1)
             points = self.square_size_m * np.column_stack([col, self.rows - 2 - row, np.zeros_like(row)])

@@ -1,6 +1,6 @@
 """What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
 
-from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbers, usual_step
+from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbers, smallest_steps, usual_step
 from .frames import CameraFrames, FrameQuality, KnownRig
 from .poses import Poses
 from .recording import Recording
@@ -25,5 +25,6 @@ __all__ = [
     "measurable_numbers",
     "recorded_hashes",
     "shared_sources",
+    "smallest_steps",
     "usual_step",
 ]

@@ -78,3 +78,17 @@ def ns_from_s(t_s: ArrayLike) -> Integers:
     if not np.isfinite(t).all():
         raise RecordingError(f"timestamp {int(np.argmin(np.isfinite(t)))} is not a finite number of seconds.")
     return np.rint(t * 1e9).astype(np.int64)
+
+
+_STEP_SAMPLES = 65_536
+_ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
+
+
+def smallest_steps(values: Floats) -> Floats:
+    """Return the smallest change from sample to sample of each axis of values (n, k); nan where it never changes."""
+    values = values[:_STEP_SAMPLES]
+    steps = np.abs(np.diff(values, axis=0))
+    least = _ARITHMETIC * np.abs(values).max(axis=0, initial=0.0)  # what a conversion of units may differ by
+    return np.array(
+        [axis[axis > a].min() if (axis > a).any() else np.nan for axis, a in zip(steps.T, least, strict=True)]
+    )

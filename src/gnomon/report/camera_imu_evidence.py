@@ -94,6 +94,10 @@ def _misfit(diagnostics: CameraImuDiagnostics) -> ReportTable:
 def camera_imu_residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
     """Return what is left of samples and corners: distributions, over time, and over the image."""
     blocks: list[Figure | ReportTable] = []
+    for name, view in views.items():
+        blocks += [corner_scatter(name, view), frames_figure(name, view)]
+    if views:
+        blocks.append(field_figure(views))
     if diagnostics.signals:
         shares = ", ".join(
             _beyond(fit, signal_name(name, diagnostics.signals)) for name, fit in diagnostics.signals.items()
@@ -108,10 +112,6 @@ def camera_imu_residuals_section(diagnostics: CameraImuDiagnostics, views: dict[
                 "narrower.",
             )
         )
-    for name, view in views.items():
-        blocks += [corner_scatter(name, view), frames_figure(name, view)]
-    if views:
-        blocks.append(field_figure(views))
     blocks += frames_left_out(diagnostics.corners)
     return Section(
         "residuals",

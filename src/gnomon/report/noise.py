@@ -7,10 +7,12 @@ import numpy as np
 
 from ..output import write_whole
 from ..recording import Floats
+from ..results.datasheet import DatasheetComparison, StatedNoise
 from ..results.imu_diagnostics import SignalEnvelope
 from ..results.sensor_noise import (
     COEFFICIENTS,
     DATASHEET_UNITS,
+    FLOOR,
     SENSOR_UNITS,
     SYMBOLS,
     UNITS,
@@ -54,22 +56,28 @@ _MEANING = {
 }
 
 
-def write_noise_report(result: NoiseResult, path: str | Path) -> None:
+def write_noise_report(result: NoiseResult, path: str | Path, compared: DatasheetComparison | None = None) -> None:
     """Write the report of an identification of noise as one HTML file that needs neither network nor other files.
+
+    Parameters
+    ----------
+    compared : with a data sheet
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    write_whole(path, render_page(noise_page(result)))
+    write_whole(path, render_page(noise_page(result, compared)))
 
 
-def noise_page(result: NoiseResult) -> ReportPage:
+def noise_page(result: NoiseResult, compared: DatasheetComparison | None = None) -> ReportPage:
     """Return the page of an identification of noise."""
     noise = result.noise
     names = ", ".join(source.name for source in noise.provenance.inputs) or "recording from memory"
-    sections = [_coefficients(result), *(_curves(result, sensor) for sensor in noise.triads)]
+    sections = [_coefficients(result), *(_curves(result, sensor, compared) for sensor in noise.triads)]
+    if compared is not None:
+        sections.append(_datasheet(compared))
     figures, folded = lift_figures(sections, tuple(noise.triads))
     return ReportPage(
         title="Noise of an IMU",
@@ -87,15 +95,19 @@ def noise_page(result: NoiseResult) -> ReportPage:
 def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
     numbers: list[KeyNumber] = []
     for sensor, triad in result.noise.triads.items():
-        unit = _pretty(UNITS[sensor]["white_noise"])
+        density = _pretty(UNITS[sensor]["white_noise"])
         walk = _pretty(UNITS[sensor]["random_walk"])
         scatter = quantity_text(triad.noise_density * sqrt(triad.rate_hz), _pretty(SENSOR_UNITS[sensor]))
+        datasheet = ", ".join(
+            f"{number_text(factor * triad.noise_density, 3)}\u00a0{_pretty(unit)}"
+            for unit, factor in DATASHEET_UNITS[sensor]["white_noise"]
+        )
         bound = "" if triad.random_walk_found else "at most "
         numbers += [
             KeyNumber(
                 f"{sensor.capitalize()} white noise",
-                quantity_text(triad.noise_density, unit),
-                f"root mean square of the axes; {scatter} a sample",
+                quantity_text(triad.noise_density, density),
+                f"root mean square of the axes; {datasheet}; {scatter} a sample",
             ),
             KeyNumber(
                 f"{sensor.capitalize()} random walk",
@@ -150,21 +162,48 @@ def _text(found: Coefficient) -> str:
     return f"{value} ± {sigma}"
 
 
-def _curves(result: NoiseResult, sensor: str) -> Section:
+def _datasheet(compared: DatasheetComparison) -> Section:
+    rows = [
+        (
+            f"{one.sensor} {one.label.replace('sqrt(2)', '√2')}",
+            f"{'< ' if one.bound else ''}{number_text(one.found, 3)}",
+            number_text(one.stated, 3),
+            number_text(one.expected, 3),
+            f"{'< ' if one.bound else ''}{number_text(one.ratio, 2)}",
+            _pretty(one.unit),
+        )
+        for one in compared.quantities
+    ]
+    lead = (
+        f"{compared.sheet.source}. Root mean square of the axes. Data sheets state densities of a one-sided spectrum, "
+        "√2 N; the bias stability is the floor of the Allan deviation. A ratio well above one tells of vibration, "
+        "aliasing, the supply, a wide measuring range, or of another unit; one well below, of a filter."
+    )
+    table = ReportTable(compared.sheet.name, ("", "found", "stated", "expected", "ratio", "unit"), rows)
+    prose = (Prose(compared.words(), points=True),) if compared.words() else ()
+    return Section("datasheet", "Against the data sheet", lead, (table, *prose))
+
+
+def _curves(result: NoiseResult, sensor: str, compared: DatasheetComparison | None) -> Section:
     noise, curve, unit = result.noise.triads[sensor], result.curves[sensor], _pretty(SENSOR_UNITS[sensor])
     t_init_s = result.noise.t_init_s if sensor == "gyroscope" else float("nan")
     legend = [Legend("line", axis, axis) for axis in AXES]
     legend += [Legend("band", "before", "95 % interval"), Legend("dash", "ink", "noise that was found")]
     if isfinite(t_init_s):
         legend.append(Legend("dash", "accent", f"advised T_init {number_text(t_init_s, 3)} s"))
+    legend.append(Legend("dash", "muted", "slopes −½ (N at 1 s), 0 (0.664 B), +½ (K at 3 s)"))
+    stated = None if compared is None else compared.sheet.sensors.get(sensor)
+    if compared is not None and stated is not None:
+        legend.append(Legend("line", "t5", f"data sheet {compared.sheet.name}"))
     kinds = [kind for kind in COEFFICIENTS if any(axis.coefficients()[kind].found for axis in noise.axes)]
     blocks = [
         Figure(
-            "Allan deviation",
-            draw_sensor_allan(sensor, unit, curve, noise, t_init_s),
+            f"Allan deviation of the {sensor}",
+            draw_sensor_allan(sensor, unit, curve, noise, t_init_s=t_init_s, stated=stated),
             legend,
             "How far means over neighbouring stretches differ, by the length of the stretch (overlapping "
-            "estimate). Long averaging times rest on few independent stretches, hence the wide interval.",
+            "estimate). Long averaging times rest on few independent stretches, hence the wide interval. "
+            f"{_lowest(curve, unit)}",
         ),
         Figure(
             "What it is made of",
@@ -227,8 +266,32 @@ def _pretty(unit: str) -> str:
 _DENSE = 160
 
 
-def draw_sensor_allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s: float) -> str:
-    """Allan deviation of three axes with its interval, and the noise that was found (Tedaldi 2014, Fig. 3.2)."""
+def _lowest(curve: AllanTable, unit: str) -> str:
+    tau, deviation = lowest_deviation(curve)
+    return f"It is lowest at {number_text(tau, 3)} s: {quantity_text(deviation, unit)}."
+
+
+def lowest_deviation(curve: AllanTable) -> tuple[float, float]:
+    """Return at which averaging time the root mean square of the axes is lowest, and how low."""
+    together = np.sqrt(np.mean(curve.deviation**2, axis=1))
+    k = int(np.argmin(together))
+    return float(curve.tau_s[k]), float(together[k])
+
+
+def draw_sensor_allan(
+    sensor: str,
+    unit: str,
+    curve: AllanTable,
+    noise: TriadNoise,
+    *,
+    t_init_s: float = float("nan"),
+    stated: StatedNoise | None = None,
+) -> str:
+    """Allan deviation of three axes with its interval, and the noise that was found (Tedaldi 2014, Fig. 3.2).
+
+    Uprights stand where N and K are read, at 1 s and 3 s, thin lines have the slopes of N, B and K, a ring marks the
+    minimum, and what a data sheet states is drawn beside them.
+    """
     prefix, factor = si_prefix(float(np.median(curve.deviation[curve.deviation > 0])))
 
     sheet = Sheet()
@@ -243,10 +306,30 @@ def draw_sensor_allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoi
         panel.line(curve.tau_s, curve.deviation[:, i] * factor, name, width=1.8)
         panel.dots(curve.tau_s, curve.deviation[:, i] * factor, name, 5)
     _scales(panel, curve, curve.deviation * factor)
+    _draw_slopes(panel, tau, noise, factor)
+    if stated is not None:
+        panel.line(tau, stated.white_noise / np.sqrt(tau) * factor, "t5", width=1.6)
+        panel.line(tau, np.full(len(tau), stated.bias_stability * factor), "t5", width=1.6)
+    low_s, low = lowest_deviation(curve)
+    panel.dots(np.array([low_s]), np.array([low * factor]), "ink", 8)
     if np.isfinite(t_init_s):
         panel.upright(t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
     alt = f"Allan deviation of the {sensor}'s axes x, y, z over averaging time, with the noise that was fitted."
     return sheet.draw(f"allan-{sensor}", 426, alt)
+
+
+def _draw_slopes(panel: Panel, tau: Floats, noise: TriadNoise, factor: float) -> None:
+    """Draw the slopes of white noise, bias instability and random walk, and where the first and the last are read."""
+    floors = [axis.bias_instability.value for axis in noise.axes if axis.bias_instability.found]
+    panel.line(tau, noise.noise_density / np.sqrt(tau) * factor, "muted", width=0.8, dash=DASHED)
+    if floors:
+        floor = FLOOR * float(np.sqrt(np.mean(np.square(floors))))
+        panel.line(tau, np.full(len(tau), floor * factor), "muted", width=0.8, dash=DASHED)
+    if noise.random_walk_found:
+        panel.line(tau, noise.random_walk * np.sqrt(tau / 3) * factor, "muted", width=0.8, dash=DASHED)
+    for place in (1.0, 3.0):
+        if tau[0] < place < tau[-1]:
+            panel.upright(place, "muted", width=0.8, dash=(1.0, 3.0))
 
 
 def draw_noise_parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> str:

@@ -54,26 +54,23 @@ def parameter_unit(calibration: Calibrated, path: str) -> str:
         return _IMU[rest]
     triad, parameter = rest.split(".")
     imu = calibration.imus[name]
-    if triad == "magnetometer":
-        assert imu.magnetometer is not None
-        return (
-            imu.magnetometer.unit
-            if parameter == "bias"
-            else unit_ratio(imu.magnetometer.unit, imu.magnetometer.field_unit)
-        )
+    if triad == "temperature":
+        triad, parameter = parameter.split("_")
     if parameter == "lever_arms_m":
         return "m"
-    sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
-    assert sensor is not None
+    sensor = getattr(imu, triad)
     if parameter == "bias":
         return sensor.unit
-    return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
+    physical = sensor.field_unit if triad == "magnetometer" else _SI[triad]
+    return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else physical)
 
 
 def element_units(calibration: Calibrated, path: str) -> list[str]:
     """Return the units of a parameter's scalars; the first intrinsics of some lenses are pure numbers."""
     count = np.size(dict(calibration_parameters(calibration.imus, calibration.cameras))[path])
     units = [parameter_unit(calibration, path)] * count
+    if ".temperature." in path:
+        return [unit_ratio(unit, f"K^{i // 3 + 1}" if i >= 3 else "K") for i, unit in enumerate(units)]
     return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
 
 

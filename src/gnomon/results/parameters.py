@@ -1,8 +1,9 @@
 """The scalars of a calibration: their names, their order in the covariance, and how a change of body frame moves them.
 
-First come the scalars of every IMU, last the lever arms of its accelerometers, its pose and clock and the time shift
-of its accelerometer, where it has them; then those of every camera. A matrix is listed row by row. A rotation is named
-by its rotation vector; its covariance is that of a small rotation on the right (`CameraCalibration`, `ImuCalibration`).
+First come the scalars of every IMU, last the lever arms of its accelerometers, its pose and clock, the time shift of
+its accelerometer and what the temperature changes, where it has them; then those of every camera. A matrix is listed
+row by row. A rotation is named by its rotation vector; its covariance is that of a small rotation on the right
+(`CameraCalibration`, `ImuCalibration`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -45,6 +46,9 @@ def calibration_parameters(
             yield f"{name}.time_shift_imu", np.array(imu.time_shift_s)
         if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
             yield f"{name}.accelerometer.time_shift", np.array(imu.accelerometer.time_shift_s)
+        if imu.temperature is not None:
+            for part, coefficients in imu.temperature.parts():
+                yield f"{name}.temperature.{part}", coefficients
     for name, camera in cameras.items():
         if name != camera.body:
             yield f"{name}.{camera.link}.rotation", rotvec_from_rotation(camera.T_cam_body[:3, :3])
@@ -236,4 +240,5 @@ def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:
 
 
 def _matrices(imu: ImuCalibration) -> list[Floats]:
-    return [value for _, value in calibration_parameters({"": imu})]
+    """Return the parameters; what the temperature changes, which refers to sensor axes, as scalars in a row."""
+    return [value.ravel() if ".temperature." in path else value for path, value in calibration_parameters({"": imu})]

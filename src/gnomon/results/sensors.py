@@ -7,9 +7,11 @@ field m [uT, or the local field's strength] in the body frame, and measurements 
     gyroscope     = sensitivity @ omega + bias + g_sensitivity @ f
     magnetometer  = sensitivity @ m + bias
 
-The models of Tedaldi, Krebs and Angrisano and of other projects are exact views of it.
+at one temperature; how it changes is a `TemperatureDependence`. The models of Tedaldi, Krebs and Angrisano and of other
+projects are exact views of it.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -21,6 +23,7 @@ from ..frozen import value_class
 from ..models.camera import Camera
 from ..models.origin import Origin
 from ..recording import Floats, ImuSamples, Integers, TriadSamples, frozen_array
+from ..recording.thermometer import temperature_course
 
 
 @value_class
@@ -137,6 +140,63 @@ class MagnetometerCalibration:
 
 
 @value_class
+class TemperatureDependence:
+    """How the triads of an IMU change with the temperature of its chip.
+
+    With d = T - reference_degc, and in sensor axes, a triad that reads y at the reference reads
+
+        y(T) = y + sum_j bias[j - 1] d^j,    j = 1 to the order.
+
+    A part that does not change is None.
+
+    Attributes
+    ----------
+    reference_degc : temperature at which the sensitivities and biases beside this hold [degC]
+    low_degc, high_degc : range in which the polynomials hold [degC]; beyond it they are taken at the nearer end
+    lag_s : by which the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x [s]
+    accelerometer_bias, gyroscope_bias : (order, 3) [unit/K^j]
+    """
+
+    reference_degc: float
+    low_degc: float
+    high_degc: float
+    lag_s: float = 0.0
+    accelerometer_bias: Floats | None = None
+    gyroscope_bias: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name in TEMPERATURE_PARTS:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, frozen_array(value))
+
+    def parts(self) -> Iterator[tuple[str, Floats]]:
+        """Yield the names and coefficients of what changes."""
+        for name in TEMPERATURE_PARTS:
+            if (value := getattr(self, name)) is not None:
+                yield name, value
+
+    def change(self, part: str, degc: Floats) -> Floats:
+        """Return by how much a part differs from that at the reference, (k, 3) [its unit], at temperatures (k,).
+
+        Beyond the range it is that at the nearer end: polynomials run away there.
+        """
+        coefficients: Floats | None = getattr(self, part)
+        if coefficients is None:
+            return np.zeros((len(degc), 3))
+        known = np.clip(degc, self.low_degc, self.high_degc)
+        powers = np.vander(known - self.reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
+        return powers @ coefficients
+
+
+HIGHEST_ORDER = 3
+"""Of polynomials of the temperature."""
+
+TEMPERATURE_PARTS = ("accelerometer_bias", "gyroscope_bias")
+"""What a temperature may change, in the order of the covariance."""
+
+
+@value_class
 class ImuCalibration:
     """The triads of one IMU, in one body frame; those that were not calibrated are None.
 
@@ -170,6 +230,7 @@ class ImuCalibration:
     T_imu_body: Floats | None = None
     time_shift_s: float = 0.0
     origin: Origin | None = None
+    temperature: TemperatureDependence | None = None
 
     def __post_init__(self) -> None:
         if self.T_imu_body is not None:
@@ -203,13 +264,16 @@ class ImuCalibration:
         force at the timestamps of the gyroscope; where the two triads have timestamps of their own it is interpolated
         linearly.
 
+        Where the triads change with the temperature, the samples need their thermometer's readings.
+
         Raises
         ------
         FormatError
             If the samples are not in the unit for which the calibration was made, or there is no specific force where
-            the gyroscope's g-sensitivity needs it.
+            the gyroscope's g-sensitivity needs it, or no temperature where the calibration needs it.
         """
         self._check_units(samples)
+        samples = self.at_reference(samples)
         accelerometer, gyroscope, magnetometer = samples.accelerometer, samples.gyroscope, samples.magnetometer
         if self.accelerometer is not None:
             force = self.accelerometer.specific_force(accelerometer.values)
@@ -225,6 +289,31 @@ class ImuCalibration:
             field = self.magnetometer.magnetic_field(magnetometer.values)
             magnetometer = TriadSamples(t_ns=magnetometer.t_ns, values=field, unit=self.magnetometer.field_unit)
         return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+
+    def at_reference(self, samples: ImuSamples) -> ImuSamples:
+        """Return the samples as they would be at the reference temperature; as they are where nothing depends on it.
+
+        Raises
+        ------
+        FormatError
+            If they need a temperature, and have none that is known.
+        """
+        found = self.temperature
+        if found is None:
+            return samples
+        course = None if samples.temperature is None else temperature_course(samples.temperature, found.lag_s)
+        if course is None:
+            raise FormatError(
+                "this calibration depends on the temperature, and the recording has no thermometer whose unit is "
+                "known: record a column temp_degC, or state the temperature (--temperature-c)."
+            )
+        changed: dict[str, TriadSamples] = {}
+        for name in ("accelerometer", "gyroscope"):
+            triad, stream = getattr(self, name), getattr(samples, name)
+            if triad is not None and len(stream):
+                change = found.change(f"{name}_bias", course.at(stream.t_ns))
+                changed[name] = replace(stream, values=stream.values - change)
+        return replace(samples, **changed)
 
     def _check_units(self, samples: ImuSamples) -> None:
         pairs = (

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .magnetometer import simulate_magnetometer
     from .plans import CameraImuPlan, ImuPlan
     from .poses import simulate_poses
+    from .room_scenario import RoomScenario
     from .scenarios import FieldScenario, PoseScenario, Scenario, TurntableScenario
     from .turntable import simulate_turntable
 
@@ -23,6 +24,7 @@ _HOMES = {
     "FieldScenario": "scenarios",
     "ImuPlan": "plans",
     "PoseScenario": "scenarios",
+    "RoomScenario": "room_scenario",
     "Scenario": "scenarios",
     "TurntableScenario": "scenarios",
 }
@@ -34,6 +36,7 @@ __all__ = [
     "FieldScenario",
     "ImuPlan",
     "PoseScenario",
+    "RoomScenario",
     "Scenario",
     "TurntableScenario",
     "simulate",

@@ -219,6 +219,7 @@ class _Style:
     mean_rate_rad_s: float | None = None
     mean_acceleration_m_s2: float | None = None
     turning_rad_s: float = 0.0
+    turned: int = 3  # the coordinate that turns over and over
 
 
 _ORBIT = (_Band(coordinates=(0, 1), size=0.1, low_hz=0.03, high_hz=0.12, sinusoids=3),)
@@ -283,6 +284,14 @@ _STYLES: dict[MotionName, _Style] = {
         mean_acceleration_m_s2=3.9,
         turning_rad_s=0.6,
     ),
+    "around": _Style(
+        scaled=_NORMAL.scaled,
+        added=_NORMAL.added,
+        mean_rate_rad_s=1.0,
+        mean_acceleration_m_s2=3.9,
+        turning_rad_s=0.4,
+        turned=4,
+    ),
 }
 _LEAST_TURNS = 3
 
@@ -301,8 +310,8 @@ def drawn_path(scenario: CameraImuScenario, middle: Floats, T_cam_imu: Floats, r
     offset, slope = np.zeros(len(COORDINATES)), np.zeros(len(COORDINATES))
     offset[2] = scenario.distance_m
     if style.turning_rad_s:
-        slope[3] = max(style.turning_rad_s, 2 * np.pi * _LEAST_TURNS / scenario.duration_s)
-        offset[3] = rng.uniform(0, 2 * np.pi)
+        slope[style.turned] = max(style.turning_rad_s, 2 * np.pi * _LEAST_TURNS / scenario.duration_s)
+        offset[style.turned] = rng.uniform(0, 2 * np.pi)
     drawn = [_sinusoids(band, rng) for band in style.scaled + style.added]
     path = CameraPath(
         middle=middle,

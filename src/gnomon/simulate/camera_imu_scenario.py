@@ -7,7 +7,9 @@ from ..errors import OptionError
 from ..options import check_ranges
 from .seen_board import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
 
-MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
+MotionName = Literal[
+    "gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "around", "slow"
+]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
 
 MOST_IMUS = 8
@@ -23,8 +25,9 @@ class HandMotion:
     motion: MotionName = "normal"
     """gentle: Krebs's mean rate 0.366 rad/s and acceleration 3.12 m/s^2. normal: by hand, up to 2.5 Hz. tremor:
     normal with a tremor up to 12 Hz. shaky: up to 20 Hz and 10 m/s^2. rolling: normal while turning over and over about
-    the optical axis. translation: without any turn. one-axis: turns about the optical axis alone. slow: 0.05 rad/s and
-    hardly any acceleration, as who fears blur does. static: at rest."""
+    the optical axis. around: normal while turning to all sides, for a room instead of a board. translation: without any
+    turn. one-axis: turns about the optical axis alone. slow: 0.05 rad/s and hardly any acceleration, as who fears blur
+    does. static: at rest."""
 
     imu_rate_hz: float = 200.0
     """Sample rate of the IMU."""

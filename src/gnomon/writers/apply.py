@@ -8,6 +8,7 @@ gyroscope's correction used.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from ..errors import FormatError, RecordingError
 from ..output import atomic_file
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
 from ..readers.samples.stream import BlockRows, open_stream, stream_of
-from ..recording import Floats, Integers, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamples, TriadSamples
+from ..recording.thermometer import temperature_course
 from ..results.calibration import ImuCalibration
 from ..units import Units
 
@@ -81,7 +83,32 @@ def apply_recording(
     """
     if imu not in recording.imus:
         raise RecordingError(f"no {imu} in this recording. Found: {', '.join(recording.imus)}.")
-    return write_calibrated(calibration, stream_of(recording.imus[imu]), output)
+    samples = calibration.at_reference(recording.imus[imu])
+    return write_calibrated(calibration, stream_of(samples), output)
+
+
+_NEAR_K = 0.5
+"""How far beyond the range a temperature still counts as in it."""
+
+
+def with_temperature(samples: ImuSamples, degc: float) -> ImuSamples:
+    """Return samples of a chip that was at one temperature [degC] throughout."""
+    stamps = np.concatenate(
+        [stream.t_ns[[0, -1]] for stream in (samples.gyroscope, samples.accelerometer) if len(stream)]
+    )
+    temperature = TemperatureSamples(t_ns=stamps[:2], values=np.full(2, degc), unit="degC")
+    return replace(samples, temperature=temperature)
+
+
+def share_outside(calibration: ImuCalibration, samples: ImuSamples) -> float:
+    """Return in which share of the time the temperature is beyond the range in which a calibration knows it."""
+    found = calibration.temperature
+    course = (
+        None if found is None or samples.temperature is None else temperature_course(samples.temperature, found.lag_s)
+    )
+    if found is None or course is None:
+        return 0.0
+    return float(np.mean((course.degc < found.low_degc - _NEAR_K) | (course.degc > found.high_degc + _NEAR_K)))
 
 
 def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: str | PathLike[str]) -> int:

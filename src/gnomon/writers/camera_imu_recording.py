@@ -34,9 +34,11 @@ from ..output import atomic_file, write_whole
 from ..progress import Progress
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..results.camera_diagnostics import TrajectoryTrack
-from ..simulate.camera_imu import CameraImuSimulation
+from ..simulate.camera_imu import CameraImuSimulation, MotionStatistics
 from ..simulate.camera_imu_scenario import MOST_IMUS
 from ..simulate.images.board_images import simulated_images
+from ..simulate.images.room_images import room_images
+from ..simulate.room_scenario import RoomScenario
 from .pose_files import trajectory_text
 from .recording_file import save_recording
 from .recording_forms import PLACES, ImageForm, save_images
@@ -51,8 +53,7 @@ CAMERA_FILES = (
 _COMPRESSION = 6
 _SCENARIO = """\
 # What was simulated, with seed {seed}. Units are in the names: _s seconds, _m metres, _px pixels; all others are SI.
-# The motion came to a mean rate of {rate:.3f} rad/s, a mean acceleration of {acceleration:.2f} m/s^2,
-# and {visible} of the board's points seen.
+# The motion came to a mean rate of {rate:.3f} rad/s, a mean acceleration of {acceleration:.2f} m/s^2{visible}.
 """
 _CHAIN = "# Lens of each camera as its owner knows it; what is true stands in truth.yaml.\n"
 _NOISE = "# Nominal noise of {}.\n"
@@ -63,6 +64,7 @@ def save_camera_imu_recording(
     folder: str | PathLike[str],
     progress: Progress | None = None,
     form: ImageForm = "folder",
+    room: RoomScenario | None = None,
 ) -> tuple[Path, ...]:
     """Write a simulated recording and its truth into a folder, which is made, and return the files.
 
@@ -74,6 +76,7 @@ def save_camera_imu_recording(
     folder : an earlier recording in it is replaced
     progress : called with a sentence now and then
     form : of a recording as images
+    room : what its images show instead of the board, which is then not written; `simulation` is of its `rig`
 
     Raises
     ------
@@ -94,11 +97,12 @@ def save_camera_imu_recording(
         for name, samples in recording.imus.items():
             written += save_recording(Recording(imus={name: samples}), place / f"{name}.csv.gz")
     if simulation.scenario.images:
-        written += save_images(simulated_images(simulation), place, form, progress)
+        images = simulated_images(simulation) if room is None else room_images(room, simulation)
+        written += save_images(images, place, form, progress)
     else:
         for name, frames in recording.cameras.items():
             written += save_frames(frames, place, name)
-    for name, text in _texts(simulation):
+    for name, text in _texts(simulation, room):
         write_whole(place / name, text)
         written.append(place / name)
     return tuple(written)
@@ -133,22 +137,27 @@ def save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Pat
     return corners, listed
 
 
-def _texts(simulation: CameraImuSimulation) -> Iterator[tuple[str, str]]:
+def _texts(simulation: CameraImuSimulation, room: RoomScenario | None) -> Iterator[tuple[str, str]]:
     """Yield name and text of the small files."""
     recording, found = simulation.recording, simulation.statistics
     chain = {name: camera_node(frames.camera) for name, frames in recording.cameras.items()}
     yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)
     yield "imu.yaml", _noise_text(simulation)
-    yield "target.yaml", target_text(simulation.target)
+    if room is None:
+        yield "target.yaml", target_text(simulation.target)
     yield "truth.yaml", calibration_text(simulation.truth)
     yield "groundtruth.txt", trajectory_text(_track(simulation))
     head = _SCENARIO.format(
         seed=simulation.seed,
         rate=found.mean_rate_rad_s,
         acceleration=found.mean_acceleration_m_s2,
-        visible=", ".join(f"{100 * part:.0f} % ({name})" for name, part in found.visible.items()),
+        visible="" if room else f",\n# and {_visible(found)} of the board's points seen",
     )
-    yield "scenario.yaml", head + options_text(simulation.scenario)
+    yield "scenario.yaml", head + options_text(room or simulation.scenario)
+
+
+def _visible(found: MotionStatistics) -> str:
+    return ", ".join(f"{100 * part:.0f} % ({name})" for name, part in found.visible.items())
 
 
 def camera_node(camera: Camera) -> dict[str, Any]:

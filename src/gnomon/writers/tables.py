@@ -14,6 +14,7 @@ from ..formats.shared import entries
 from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries
 from ..models.frames import Floats, frame_rotation
 from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, calibration_parameters
+from ..results.parameter_units import element_units
 from ..simulate.truth import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
@@ -140,7 +141,29 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Pa
             )
             if rows:
                 tables.append(ParameterRows(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
-    return (*tables, *_rig_tables(calibration, frame))
+    warm = (_temperature_table(calibration, name) for name in calibration.imus)
+    return (*tables, *filter(None, warm), *_rig_tables(calibration, frame))
+
+
+def _temperature_table(calibration: Calibration, name: str) -> ParameterRows | None:
+    """Return what the temperature changes of an IMU, in sensor axes."""
+    found = calibration.imus[name].temperature
+    if found is None:
+        return None
+    written, rows = _values_of(calibration), list[Row]()
+    for part, coefficients in found.parts():
+        path = f"{name}.temperature.{part}"
+        values = zip(
+            np.ndindex(coefficients.shape), coefficients.flat, calibration.sigma(path).flat,
+            element_units(calibration, path), strict=True,
+        )  # fmt: skip
+        for (order, axis), value, sigma, unit in values:
+            rows.append(Row(name=f"{part}{order + 1}_{'xyz'[axis]}", value=written(value, sigma), unit=unit))
+    note = (
+        f"change of the bias: sum of the terms j times d^j, d = T - {found.reference_degc:g} degC; known from "
+        f"{found.low_degc:.1f} to {found.high_degc:.1f} degC; lag of the thermometer {found.lag_s:.3g} s"
+    )
+    return ParameterRows(title=f"{name} over the temperature", note=note, rows=tuple(rows))
 
 
 def _rig_tables(calibration: Calibration, frame: str) -> Iterator[ParameterRows]:

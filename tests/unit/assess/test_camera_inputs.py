@@ -78,6 +78,27 @@ def test_copies_of_views_are_named_and_count_once():
     assert again.assessment.cameras.views_used == once.assessment.cameras.views_used
 
 
+def test_copies_that_were_coded_anew_count_once_in_a_lens_calibration_alone():
+    simulation = gnomon.simulate_cameras(CamerasScenario(views=20), 4)
+    recording, rng = simulation.recording, np.random.default_rng(1)
+    many = {name: copied(frames, 12, 100_000_000_000) for name, frames in recording.cameras.items()}
+    anew = {
+        name: replace(frames, pixels=frames.pixels + rng.normal(0.0, 0.01, frames.pixels.shape))
+        for name, frames in many.items()
+    }
+    once = gnomon.calibrate_cameras(recording, simulation.target, OPTIONS).calibration
+    again = gnomon.calibrate_cameras(replace(recording, cameras=anew), simulation.target, OPTIONS).calibration
+    found = [finding for finding in again.assessment.findings if finding.code == "views-copied"]
+    assert len(found) == 1
+    assert "0.05 px" in found[0].message
+    assert again.verdict == "warn"
+    assert again.assessment.cameras.views_used == once.assessment.cameras.views_used
+    assert np.allclose(np.diag(again.uncertainty.matrix), np.diag(once.uncertainty.matrix), rtol=0.4)
+    kept, findings = without_copies(replace(recording, cameras=anew))
+    assert not findings
+    assert len(kept.cameras["cam0"].frame) == len(anew["cam0"].frame)
+
+
 def test_views_in_another_order_of_corners_are_copies_too():
     recording = gnomon.simulate_cameras(CamerasScenario(views=4), 5).recording
     frames = recording.cameras["cam0"]

@@ -5,7 +5,8 @@ import pytest
 
 import gnomon
 from gnomon.detect.samples.noise import averaging_time
-from gnomon.detect.samples.rounding import rounding_variance, smallest_steps
+from gnomon.detect.samples.rounding import rounding_variance
+from gnomon.recording import smallest_steps
 from gnomon.results.calibration import calibration_parameters
 from gnomon.results.intervals import StaticIntervals
 

@@ -121,7 +121,12 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     for copy, name in (("session.csv", "fast.csv"), ("rest.csv", "rest.npz"), ("night.csv", "rest.npz")):
         shutil.copy(name, copy)
     shutil.copy("turned.npz", "turned.csv")
-    shown = {"show", "rate"}
+    run(["simulate", "temperature", "-o", "warm-ups", "--duration-s", "300", "--rate-hz", "10"])
+    for i in (1, 2, 3):
+        shutil.copy(f"warm-ups/warm-up-{i}.npz", f"cold-{i}.csv")
+    shutil.copy("cold-1.csv", "flight.csv")
+    run(["imu", "log.csv", "-o", "board-imu", "--no-report"])
+    shown = {"show", "rate", "apply", "convert"}
     commands = [words for words in shell_commands(tmp_path / "section.md") if words[0] not in {"camera-imu", "study"}]
     assert {"imu", "turntable", "noise", "magnetometer", *shown} < {words[0] for words in commands}
     for words in commands:
@@ -209,9 +214,16 @@ def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     run(["convert", "rig-camera-imu/calibration.yaml", "--to", "basalt", "-o", "."])
     for name in ("camchain", "imu", "target"):
         shutil.copy(f"rig/{name}.yaml", f"{name}.yaml")
+    shutil.copytree("monday-imu", "old-results/SN0007")
+    for line, name, source in (("line-1", "SN0042_2026-03-31", "today.csv"), ("line-2", "run-17", "log.csv")):
+        Path(line).mkdir()
+        shutil.copy(source, f"{line}/{name}.csv")
+    table = re.search(r"^```text\n(recording,.*?)^```", section, re.MULTILINE | re.DOTALL)
+    Path("devices.csv").write_text(table.group(1), encoding="utf-8")
     commands = [words for words in shell_commands(tmp_path / "section.md") if words[1:2] != ["rig.bag"]]
     commands = [words for words in commands if words[0] != "study"]  # those have tests of their own
-    assert {"imu", "show", "compare", "verify", "convert", "plan", "plan-imu"} == {words[0] for words in commands}
+    used = {"imu", "show", "compare", "verify", "convert", "plan", "plan-imu", "batch", "library"}
+    assert used == {words[0] for words in commands}
     for words in commands:
         shown = words[0] in {"show", "plan"} and ("needs.yaml" in words or "gimbal" in words or "planar" in words)
         run(words, may_fail=shown)  # the verdict on so short a recording, and on a vehicle

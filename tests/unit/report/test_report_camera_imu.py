@@ -66,12 +66,12 @@ def test_page_says_the_verdict_first_and_everything_once(result, page_of, tmp_pa
     text = page.text
     order = [
         "Camera-IMU calibration", "Warn. This calibration can be used", "0.126 px", "2258 of 2394",
-        "7.0500 ± 0.0060 ms", "60 s in 2 pieces", "Move faster", "Samples of the IMU", "Corners in the image",
+        "7.0500 ± 0.0060 ms", "60 s in 2 pieces", "Move faster", "Corners of cam0", "Corners in the image",
         "The rig", "T_cam_imu of cam0", "T_cam_imu of cam1",
         "Between the cameras", "Accelerometer scale", "0.98860 ± 0.00030", "Gyroscope rotation", "B_g of chapter 4",
         "q_bg = (0.999962, 0.000000, 0.000000, 0.008727)", "force in the gyroscope's axes (Krebs, chapter 3)",
         "Accelerometer over the recording", "Gyroscope over the recording", "models differ by up to",
-        "Corners of cam0", "Frames of cam1", "Mean residual over the image",
+        "Frames of cam1", "Mean residual over the image", "Samples of the IMU",
         "fits badly: 47 sigma", "Axes of rotation", "Path of the IMU", "About their means",
         "imu0.B_g[4]", "Correlation", "Strongest correlations", "found in the residuals",
         "Gravity in the frame of the target", "−9.79110 ± 0.00010", "rejected", "The solver came to rest",

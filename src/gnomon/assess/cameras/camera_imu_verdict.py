@@ -48,6 +48,7 @@ def assess_camera_imu(
         *_residuals(evidence, diagnostics),
         *_frames(fit, diagnostics),
         *_board_size(evidence),
+        *_scene_size(evidence),
         *_intrinsics(evidence),
         *_model(evidence, diagnostics),
         *_stated_guess(evidence),
@@ -210,6 +211,24 @@ def _board_size(evidence: CameraImuFitSummary) -> list[Finding]:
             severity=severity,
             scale=abs(scale - 1),
             way=way,
+            sigma=sigma,
+        )
+    ]
+
+
+def _scene_size(evidence: CameraImuFitSummary) -> list[Finding]:
+    """Say by what the size of a scene without a board is known, and how well."""
+    if evidence.target.kind != "landmarks":
+        return []
+    certain, scale = evidence.uncertainty, evidence.solution.state.parameters.target_scale
+    at = certain.names.index("target.scale")
+    sigma = float(np.sqrt(certain.covariance[at, at])) / scale
+    severity = grade_by_limits("scene size", sigma)
+    return [
+        make_finding(
+            "scene-size",
+            severity="info" if severity == "good" else severity,
+            landmarks=len(evidence.target),
             sigma=sigma,
         )
     ]

@@ -10,19 +10,26 @@ from ...findings import Finding, make_finding
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers, Recording
 
-_FEW = 0.02
+_FEW, _MANY = 0.02, 0.5
+"""Shares of views that are copied, and that are alike, above which it is a warning."""
+_CELLS = [(i, j) for i in (0, -1, 1) for j in (0, -1, 1)]
 
 
-def without_copies(recording: Recording) -> tuple[Recording, tuple[Finding, ...]]:
+def without_copies(recording: Recording, *, alike_px: float = 0.0) -> tuple[Recording, tuple[Finding, ...]]:
     """Return a recording of cameras in which every view is there once, and what there is to say of the copies.
 
     Noise makes the corners of two images differ, also of a board that does not move: what is equal to the last digit is
-    the same image, copied or delivered again.
+    the same image, copied or delivered again. Copies that were coded anew differ by hundredths of a pixel, and so do
+    images of a board and a camera at rest, whose errors are mostly the same: neither tells anything new of a lens.
+
+    Parameters
+    ----------
+    alike_px : how far the corners of a copy may lie from those of an earlier view, root mean square [px]
     """
     cameras: dict[str, CameraFrames] = {}
     findings: list[Finding] = []
     for name, frames in recording.cameras.items():
-        copies, views = _copies(frames)
+        copies, views = _copies(frames, alike_px)
         cameras[name] = frames
         if copies:
             kept = ~np.isin(frames.frame, list(copies))
@@ -30,31 +37,45 @@ def without_copies(recording: Recording) -> tuple[Recording, tuple[Finding, ...]
             cameras[name] = replace(
                 frames, frame=frames.frame[kept], point=frames.point[kept], pixels=frames.pixels[kept], sigma_px=sigma
             )
-            findings.append(_finding(name, copies, views))
+            exact = {frame: original for frame, (original, apart_px) in copies.items() if apart_px == 0}
+            findings += [
+                _copies_finding(name, of, views, exact=of is exact)
+                for of in (exact, {frame: original for frame, (original, _) in copies.items() if frame not in exact})
+                if of
+            ]
     return (replace(recording, cameras=cameras), tuple(findings)) if findings else (recording, ())
 
 
-def _copies(frames: CameraFrames) -> tuple[dict[int, int], int]:
-    """Return the frames whose corners are those of an earlier one -> that one, and how many frames have corners."""
+def _copies(frames: CameraFrames, alike_px: float) -> tuple[dict[int, tuple[int, float]], int]:
+    """Return the frames that show an earlier one once more -> that one and how far apart, and how many show corners.
+
+    Views alike have their middles in the same or in neighbouring cells of that width.
+    """
     shown, first = np.unique(frames.frame, return_index=True)
     ends = np.append(first, len(frames.frame))
-    seen: dict[bytes, int] = {}
-    copies: dict[int, int] = {}
+    seen: dict[tuple[bytes, int, int], list[tuple[int, Floats]]] = {}
+    copies: dict[int, tuple[int, float]] = {}
     for k, frame in enumerate(shown.tolist()):
         part = slice(ends[k], ends[k + 1])
         order = np.argsort(frames.point[part], kind="stable")
-        key = frames.point[part][order].tobytes() + frames.pixels[part][order].tobytes()
-        if seen.setdefault(key, frame) != frame:
-            copies[frame] = seen[key]
+        points, pixels = frames.point[part][order].tobytes(), frames.pixels[part][order]
+        u, v = np.floor(pixels.mean(axis=0) / (alike_px or 1.0)).astype(np.int64).tolist()
+        near = [one for i, j in _CELLS for one in seen.get((points, u + i, v + j), ())]
+        apart_px = [float(np.sqrt(np.mean(((view - pixels) ** 2).sum(axis=1)))) for _, view in near]
+        best = int(np.argmin(apart_px)) if apart_px else -1
+        if best >= 0 and apart_px[best] <= alike_px:
+            copies[frame] = near[best][0], apart_px[best]
+        else:
+            seen.setdefault((points, u, v), []).append((frame, pixels))
     return copies, len(shown)
 
 
-def _finding(name: str, copies: Mapping[int, int], views: int) -> Finding:
-    share = len(copies) / views
+def _copies_finding(name: str, copies: Mapping[int, int], views: int, *, exact: bool) -> Finding:
     frame, original = next(iter(copies.items()))
     return make_finding(
         "views-copied",
-        severity="warning" if share > _FEW else "info",
+        severity="warning" if len(copies) > (_FEW if exact else _MANY) * views else "info",
+        case="exact" if exact else "alike",
         name=name,
         count=len(copies),
         views=views,
@@ -139,7 +160,8 @@ def check_handedness(name: str, frames: CameraFrames, usable: Integers, target: 
     ----------
     usable : (k,) frames that tell a pose
     """
-    if target.kind == "circlegrid" and target.asymmetric:  # printed in both senses, which the detector finds out
+    # printed in both senses, which the detector finds out; or no plane at all
+    if target.kind == "landmarks" or (target.kind == "circlegrid" and target.asymmetric):
         return []
     mirrored = _from_behind(frames, usable, target)
     share = float(np.mean(mirrored)) if len(mirrored) else 0.0

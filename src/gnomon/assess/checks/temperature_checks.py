@@ -4,9 +4,8 @@ from math import log
 
 import numpy as np
 
-from ...detect.samples.rounding import smallest_steps
 from ...findings import Finding, make_finding
-from ...recording import Floats, TemperatureSamples
+from ...recording import Floats, TemperatureSamples, smallest_steps
 
 _CHIP_DEGC = (-60.0, 130.0)
 _HOT_DEGC = 65.0

@@ -6,11 +6,10 @@ from math import isfinite, pi
 
 import numpy as np
 
-from ...detect.samples.rest import RestTable
+from ...detect.samples.rest import RestTable, Stir, find_stir
 from ...errors import RecordingError
 from ...estimate.allan.fit import AxisFit
 from ...findings import Finding, make_finding
-from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.sensor_noise import TriadNoise
@@ -19,8 +18,6 @@ from ..verdict import grade_by_limits
 SHORTEST_S = 60.0
 _NEARLY = 0.999  # a rate is not known more exactly
 _FEWEST = 1000
-_LOUD = 12.0  # sigmas of the variance of a window
-_LOUDER = 3.0  # times the usual variance
 _STEP = 12.0  # usual differences of neighbouring means
 _SPANS = (1, 10, 60)  # windows in a mean
 _SHARE, _NOTABLE = 0.05, 0.005  # of the squares that disturbances may add
@@ -28,14 +25,6 @@ _LOST_SHARE, _LOST_MOST = 1e-3, 0.1
 _REPEATED = 0.2
 _COARSE = 0.5  # steps of the converter in a standard deviation
 _STUCK = 0.05
-
-
-@value_class
-class _Stir:
-    """When something moved, (k,) windows, and the share of the squares that it added."""
-
-    windows: Booleans
-    share: float
 
 
 def check_length(table: RestTable, sensor: str) -> None:
@@ -120,17 +109,6 @@ def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding
     ]
 
 
-def _stir(table: RestTable) -> _Stir:
-    usual = np.median(table.variance, axis=0)
-    samples = max(table.samples / max(len(table.t_s), 1), 2.0)
-    # The variances of filtered noise scatter more than those of white noise.
-    spread = 1.4826 * np.median(np.abs(table.variance - usual), axis=0)
-    limit = np.maximum(usual * max(_LOUDER, 1 + _LOUD * np.sqrt(2 / samples)), usual + _LOUD * spread)
-    loud = (table.variance > limit) & (usual > 0)
-    added = np.where(loud, table.variance - usual, 0.0).sum(axis=0) / np.maximum(table.variance.sum(axis=0), 1e-300)
-    return _Stir(windows=np.asarray(loud.any(axis=1), dtype=bool), share=float(added.max(initial=0.0)))
-
-
 def _turns(table: RestTable) -> Booleans:
     """Mark the windows at which a mean changes for good, (k,)."""
     marked = np.zeros(len(table.t_s), dtype=bool)
@@ -151,14 +129,14 @@ def _turns(table: RestTable) -> Booleans:
     return marked
 
 
-def _stirred_and_turned(table: RestTable, kept: Integers) -> tuple[_Stir, Booleans]:
+def _stirred_and_turned(table: RestTable, kept: Integers) -> tuple[Stir, Booleans]:
     """Return what moved it in some of the windows: that a sensor died is no motion."""
     windows = {name: getattr(table, name)[kept] for name in ("t_s", "mean", "variance", "low", "high")}
     part = replace(table, **windows, at_low=table.at_low[kept], at_high=table.at_high[kept])
-    stir, turned = _stir(part), _turns(part)
+    stir, turned = find_stir(part), _turns(part)
     marked = np.zeros((2, len(table.t_s)), dtype=bool)
     marked[:, kept] = stir.windows, turned
-    return _Stir(windows=marked[0], share=stir.share), marked[1]
+    return Stir(windows=marked[0], share=stir.share), marked[1]
 
 
 def _span(table: RestTable, marked: Booleans) -> tuple[float, float]:

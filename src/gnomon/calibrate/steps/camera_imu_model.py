@@ -25,10 +25,12 @@ from ...estimate.camera_imu.result.cluster_sums import cluster_sums
 from ...estimate.camera_imu.result.residual_patterns import board_evidence, counting_corners
 from ...estimate.camera_imu.solution import Solution, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
+from ...estimate.camera_imu.terms.board import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
 from ...estimate.trust.clusters import ClusterSums
 from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...findings import Finding
+from ...models.target import Target
 from ...options import CameraImuOptions
 from ...progress import Progress
 from ...recording import Recording
@@ -50,6 +52,13 @@ def with_stated_shutters(recording: Recording, options: CameraImuOptions) -> Rec
         for name, frames in recording.cameras.items()
     }
     return replace(recording, cameras=cameras)
+
+
+def with_free_landmarks(options: CameraImuOptions, target: Target) -> CameraImuOptions:
+    """Return options that estimate where landmarks of a scene are, and how large it is, where there is no board."""
+    if target.kind != "landmarks":
+        return options
+    return replace(options, free=(*options.free, OFFSETS, "target.scale"))
 
 
 def with_line_delays(

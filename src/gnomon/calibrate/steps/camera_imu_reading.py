@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ...assess.checks.clock_checks import check_clocks
-from ...errors import OptionError
+from ...errors import OptionError, RecordingError
 from ...findings import Finding, make_finding
 from ...formats.kalibr.camchain import CameraInput
 from ...formats.kalibr.imu import ImuInput
@@ -30,6 +30,9 @@ from ...units import Units
 from .board_reading import Progress, read_camera_corners, stated_cameras
 
 _RATE_TOLERANCE = 0.05
+NO_BOARD = "none"
+"""What is stated in place of a board's file where there is none."""
+
 _WIDE = 1e4  # of the variances of what the same data told: a ten-thousandth of them is left
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
 
@@ -54,7 +57,8 @@ def read_camera_imu(
     path : a ROS 1 bag, a ROS 2 bag (sqlite or MCAP), a folder in the layout of EuRoC, TUM-VI or Kalibr, a folder of
         images or videos with a table of samples, a video; or a folder with the corners of each camera,
         cam0_corners.csv, cam1_corners.csv, ..., and the samples of each IMU, imu0.csv, ...
-    target : Kalibr's target.yaml
+    target : Kalibr's target.yaml; or "none": there was no board, and the landmarks of the scene are mapped from the
+        images of the first camera
     cam : Kalibr's camchain.yaml, a calibration.yaml of gnomon, or another project's file of the cameras; not needed
         where the recording states the lenses itself, as EuRoC's does
     imu : Kalibr's imu.yaml, keyed imu0, imu1, ... or a file of each; None where the noise of the IMUs is not known
@@ -81,7 +85,7 @@ def read_camera_imu(
     OptionError
         If an option does not fit.
     """
-    if Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
+    if str(target) != NO_BOARD and Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
         if cam is None:
             raise OptionError(
                 "--cam is missing: Kalibr's file of the cameras and their intrinsics. Name it, or put it into "
@@ -90,7 +94,7 @@ def read_camera_imu(
         recording, board = read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
         return _with_rig(recording, cam), board
     notes: list[str] = []
-    board = read_target(target, notes)
+    board = None if str(target) == NO_BOARD else read_target(target, notes)
     stated = {} if cam is None else read_cameras(cam, notes)
     noise = read_imus(imu, notes)
     suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
@@ -99,19 +103,40 @@ def read_camera_imu(
     known = _known_cameras(images, stated, Path(path), cam, notes)
     tell = progress or (lambda _: None)
     cameras: dict[str, CameraFrames] = {}
+    scene: tuple[Finding, ...] = ()
+    if board is None:
+        cameras, board, scene = _mapped(images, known, tell, notes)
+        known = {}
     for name, entry in known.items():
         found = read_camera_corners(images, name, entry, board, workers=workers, cache=cache, progress=tell)
         cameras[name] = found.frames
         notes.extend(found.notes)
-    files = [Path(file) for file in (cam, *imu_paths(imu), target) if file is not None]
+    stated_files = (cam, *imu_paths(imu), None if board.kind == "landmarks" else target)
+    files = [Path(file) for file in stated_files if file is not None]
     recording = Recording(
         imus={name: _with_noise(name, samples, noise.get(name), notes) for name, samples in images.imus.items()},
         cameras=cameras,
         sources=(*(file_source(file) for file in files), *images.sources),
         assumptions=(*images.assumptions, *notes),
-        findings=_clocks(images, tuple(cameras)),
+        findings=(*scene, *_clocks(images, tuple(cameras))),
     )
     return _with_rig(recording, cam), board
+
+
+def _mapped(
+    images: ImageRecording, known: Mapping[str, CameraInput], tell: Progress, notes: list[str]
+) -> tuple[dict[str, CameraFrames], Target, tuple[Finding, ...]]:
+    """Return what the first camera saw of the landmarks of a scene, these, and what is wrong with them."""
+    from .landmark_map import map_landmarks
+
+    if not images.imus:
+        raise RecordingError("without a board the IMU's samples are needed already to map the scene. Give --imu-table.")
+    name, *others = known
+    frames, landmarks, scene = map_landmarks(
+        name, images.streams[name], known[name], next(iter(images.imus.values())), tell
+    )
+    notes.extend(f"the images of {other} were left out: without a board one camera is used." for other in others)
+    return {name: frames}, landmarks, scene
 
 
 def _with_rig(recording: Recording, cam: str | PathLike[str] | None) -> Recording:

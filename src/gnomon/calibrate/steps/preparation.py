@@ -12,7 +12,7 @@ from ...assess.checks.protocol import find_imu_rests
 from ...detect.samples.noise import resting_noise
 from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.repeats import repeated_stretches
-from ...detect.samples.rounding import rounding_variance, smallest_steps
+from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.threshold import RestDetection
 from ...detect.samples.time_base import TimeBase, time_base
@@ -24,7 +24,7 @@ from ...geometry.so3 import nearest_rotation
 from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
-from ...recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources
+from ...recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources, smallest_steps
 from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,

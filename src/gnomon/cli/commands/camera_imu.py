@@ -29,7 +29,7 @@ from ..inputs import files_beside, judged_result, read_priors, read_use_option, 
 from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
 from ..parsing.arguments import Argument
 from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
-from ..simulated import check_form, folder_document, print_folder, replaces_simulated
+from ..simulated import RIG_FILES, check_form, folder_document, print_folder, replaces_simulated
 from ..terminal import Terminal
 from .camera import NO_TARGET, ImagesAs
 
@@ -41,7 +41,6 @@ _NO_CAM = (
     "--cam is missing: Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml. Name it, or "
     "put it into {folder} as camchain.yaml; gnomon camera {recording} --target {target} makes one."
 )
-_SIMULATED = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +54,7 @@ class CameraImu(Command):
     --------
     $ gnomon camera-imu recording.bag --target target.yaml --cam camchain.yaml --imu imu.yaml
     $ gnomon camera-imu rig --for vio
+    $ gnomon camera-imu walk.bag --target none --cam camera/calibration.yaml --imu imu.yaml
     """
 
     recording: Annotated[Path, Argument(positional=True)]
@@ -67,8 +67,9 @@ class CameraImu(Command):
     imu: ImuFiles = ()
     """Kalibr's file of the IMU's noise; of several IMUs keyed imu0, imu1, ..., or this option once for each of them
     (default: imu.yaml in the recording's folder, where there is one)."""
-    target: Annotated[Path | None, FileOption] = None
-    """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
+    target: Annotated[Path | None, Argument(metavar="FILE", none=False)] = None
+    """Kalibr's file of the board (default: target.yaml in the recording's folder); none where there was no board, but
+    a scene that stands still."""
     topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC")] = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
     imu_table: Annotated[Path | None, FileOption] = None
@@ -219,7 +220,7 @@ class SimulateCameraImu(FromScenario):
         from ...writers.cameras_recording import CAMERAS_FILES
 
         folder = self.output
-        replaced = replaces_simulated(folder, _SIMULATED)
+        replaced = replaces_simulated(folder, RIG_FILES)
         check_form(self.form, images=self.options.images)
         own = (*CAMERA_FILES, *CAMERAS_FILES) if replaced else CAMERA_FILES
         with result_folder(folder, own=own) as staging:

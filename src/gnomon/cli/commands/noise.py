@@ -1,7 +1,8 @@
 """The commands on noise."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from math import inf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,10 +11,12 @@ from ...options import NoiseOptions
 from ...simulate.scenarios import NoiseScenario
 from ..command import Command, Flat, Input, Report, Seed, output_option
 from ..output_folder import NOISE_FILES, default_folder, result_folder
+from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
+    from ...results.datasheet import Datasheet, DatasheetComparison
     from ...results.sensor_noise import Coefficient, SensorNoise, TriadNoise
 
 
@@ -36,6 +39,7 @@ class Noise(Command):
     Examples
     --------
     $ gnomon noise night.npz
+    $ gnomon noise night.npz --datasheet ADIS16470
     """
 
     recording: Annotated[Input, Flat]
@@ -43,6 +47,12 @@ class Noise(Command):
     """Folder for noise.yaml, Kalibr's imu.yaml, allan.csv and report.html (default: NAME-noise beside the
     recording)."""
     report: Report = True
+    datasheet: Annotated[str | None, Argument(metavar="NAME|FILE")] = None
+    """Compare with a data sheet: BMI088, BMI270, ICM-20948, ICM-42688, MPU-6050, LSM6DSO, ADIS16448, ADIS16470, or a
+    YAML file."""
+    bandwidth_hz: float | None = None
+    """Bandwidth of the filter before the samples were taken, in Hz, for the data sheet: what lies above half the rate
+    is folded down (default: a filter that ends below it)."""
     options: Annotated[NoiseOptions, Flat] = field(default_factory=NoiseOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -50,20 +60,25 @@ class Noise(Command):
         from ...calibrate.noise import identify_noise
         from ...formats.own.noise_file import noise_document, save_noise_files
         from ...report.noise import write_noise_report
+        from ...results.datasheet import compare_datasheet
 
+        sheet = self._sheet()
         source = self.recording
         folder = self.output or default_folder(source.paths, "noise")
         with result_folder(folder, "noise", own=NOISE_FILES) as staging:
             result = identify_noise(source.paths, self.options, terminal.progress, **source.table)
             save_noise_files(result, staging)
+            compared = None if sheet is None else compare_datasheet(result.noise, sheet, self.bandwidth_hz or nan)
             if self.report:
                 terminal.progress("drawing the report")
-                write_noise_report(result, staging / "report.html")
+                write_noise_report(result, staging / "report.html", compared)
         found = result.noise
         assumptions = [finding.message for finding in found.findings if finding.code == "assumed"]
         code = UNUSABLE if found.verdict == "fail" else USABLE
         print_assumptions(assumptions, terminal)
         _print(found, terminal)
+        if compared is not None:
+            terminal.print("\n".join(_compared_lines(compared)))
         print_files(folder, terminal, NOISE_FILES)
         if code == USABLE:
             terminal.print("")
@@ -75,9 +90,33 @@ class Noise(Command):
                 "assumptions": assumptions,
                 "files": result_files(folder, NOISE_FILES),
                 "noise": noise_document(found),
+                **({} if compared is None else {"datasheet": _compared_document(compared)}),
             }
         )
         return code
+
+    def _sheet(self) -> "Datasheet | None":
+        from ...formats.own.datasheet_file import load_datasheet
+
+        if self.bandwidth_hz is not None and not (self.datasheet and 0 < self.bandwidth_hz < inf):
+            raise OptionError("--bandwidth-hz must be greater than zero, and goes with --datasheet.")
+        return None if self.datasheet is None else load_datasheet(self.datasheet)
+
+
+def _compared_lines(compared: "DatasheetComparison") -> Iterator[str]:
+    """Yield what was found against a data sheet, a line for each quantity."""
+    yield f"\n{'data sheet ' + compared.sheet.name:<43}{'found':<12}{'expected':<12}ratio"
+    for one in compared.quantities:
+        what = f"{one.sensor} {one.label}"
+        found = f"{'< ' if one.bound else ''}{one.found:.3g}"
+        ratio = f"{'< ' if one.bound else ''}{one.ratio:.2f}"
+        yield f"  {what:<41}{found:<12}{f'{one.expected:.3g}':<12}{ratio:<7}{one.unit}"
+    yield from compared.words()
+
+
+def _compared_document(compared: "DatasheetComparison") -> dict[str, Any]:
+    rows = [{**{f.name: getattr(one, f.name) for f in fields(one)}, "ratio": one.ratio} for one in compared.quantities]
+    return {"name": compared.sheet.name, "source": compared.sheet.source, "quantities": rows}
 
 
 def show_noise(path: Path, terminal: Terminal) -> int:

@@ -26,6 +26,7 @@ class Argument(NamedTuple):
     positional : an operand
     appends : may be given several times, with one value each
     flat : the fields of a class, without a prefix
+    none : whether the word none stands for no value, where there may be none
     """
 
     name: str | None = None
@@ -35,6 +36,7 @@ class Argument(NamedTuple):
     positional: bool = False
     appends: bool = False
     flat: bool = False
+    none: bool = True
 
 
 class Entry(NamedTuple):
@@ -145,7 +147,7 @@ def read_value(entry: Entry, words: Sequence[str]) -> Any:
 
 def _word_value(entry: Entry, kind: Any, word: str) -> Any:
     (plain, *others) = _without_none(kind)
-    if NoneType in get_args(kind) and word.lower() == "none":
+    if entry.argument.none and NoneType in get_args(kind) and word.lower() == "none":
         return None
     if get_origin(plain) is Literal:
         choices = {str(choice): choice for one in (plain, *others) for choice in get_args(one)}

@@ -4,13 +4,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
+from ...results.intervals import Booleans
 
 _WINDOW_S = 1.0
 _FEWEST = 16
 _GAP_PERIODS = 1.5
 _PACKETS = 3.0
 _PACKET_S = 0.5
+_LOUD = 12.0  # sigmas of the variance of a window
+_LOUDER = 3.0  # times the usual variance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,3 +158,23 @@ class RestWatch:
             longest_gap_at_s=self._longest[1] * 1e-9,
             repeats=self._repeats / max(self.samples - 1, 1),
         )
+
+
+@value_class
+class Stir:
+    """When something moved, (k,) windows, and the share of the squares that it added."""
+
+    windows: Booleans
+    share: float
+
+
+def find_stir(table: RestTable) -> Stir:
+    """Return the windows that are louder than the others."""
+    usual = np.median(table.variance, axis=0)
+    samples = max(table.samples / max(len(table.t_s), 1), 2.0)
+    # The variances of filtered noise scatter more than those of white noise.
+    spread = 1.4826 * np.median(np.abs(table.variance - usual), axis=0)
+    limit = np.maximum(usual * max(_LOUDER, 1 + _LOUD * np.sqrt(2 / samples)), usual + _LOUD * spread)
+    loud = (table.variance > limit) & (usual > 0)
+    added = np.where(loud, table.variance - usual, 0.0).sum(axis=0) / np.maximum(table.variance.sum(axis=0), 1e-300)
+    return Stir(windows=np.asarray(loud.any(axis=1), dtype=bool), share=float(added.max(initial=0.0)))

@@ -13,11 +13,9 @@ from functools import cache
 
 import numpy as np
 
-from ...recording import Floats
+from ...recording import Floats, smallest_steps
 from ...results.intervals import StaticIntervals
 
-_SAMPLES = 65_536
-_ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
 _COARSE = 0.3  # variance from sample to sample, in squared steps; that of white noise of 0.46 of a step
 _REGULAR = 2.7  # fourth moment over squared variance: 3 for white noise, 1.5 for a tremor
 _WIDE = 4.0  # variance of a tremor that leaves no error to speak of
@@ -32,15 +30,6 @@ _WAVES = np.arange(1, 400)[:, None]
 _OF_MEANS = np.sum(np.exp(-4 * (np.pi * _WAVES * _NOISE) ** 2) / _WAVES**2, axis=0) / (2 * np.pi**2)
 _SCATTER = _NOISE**2 + 1 / 12 - _OF_MEANS
 """Of rounded samples about their mean: what noise and rounding do together, less what the mean has of it."""
-
-
-def smallest_steps(values: Floats) -> Floats:
-    """Return the smallest change of each axis from sample to sample, (3,); nan where it never changes."""
-    steps = np.abs(np.diff(values[:_SAMPLES], axis=0))
-    least = _ARITHMETIC * np.abs(values[:_SAMPLES]).max(axis=0, initial=0.0)  # what a conversion of units may differ by
-    return np.array(
-        [axis[axis > a].min() if (axis > a).any() else np.nan for axis, a in zip(steps.T, least, strict=True)]
-    )
 
 
 def rounding_variance(values: Floats, intervals: StaticIntervals) -> Floats:

@@ -95,7 +95,7 @@ def robust_covariance(
         found = replace(found, factor=np.ones_like(found.factor))
     covariance = ordinary
     if widened:
-        covariance = ordinary + found.covariance - found.from_errors - found.from_prior
+        covariance = found.covariance + _from_outside(ordinary - found.from_errors - found.from_prior)
     biased = np.isin(paths, list(biases))
     comparison = PartComparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
     spacing = float(np.median(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
@@ -116,6 +116,15 @@ def robust_covariance(
         if len(sums) >= 2 * _FEWEST_IN_PART
         else (),
     )
+
+
+def _from_outside(covariance: Floats) -> Floats:
+    """Return the part of a covariance (m, m) that the recording does not give, without variances below zero.
+
+    It is a difference: where nothing comes from outside, lost digits may leave it negative.
+    """
+    positive = np.diag(covariance) > 0
+    return np.where(np.outer(positive, positive), covariance, 0.0)
 
 
 def _ratios(found: Robust, paths: NDArray[np.object_], estimated: Booleans) -> tuple[SigmaRatio, ...]:

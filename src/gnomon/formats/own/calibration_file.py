@@ -34,6 +34,7 @@ from ...results.calibration import (
     calibration_parameters,
     covariance_names,
 )
+from ...results.sensors import TEMPERATURE_PARTS, TemperatureDependence
 from ...results.trust import Need, QuantityChange, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
@@ -247,7 +248,9 @@ def _known(node: Node) -> float:
 
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 6
+SCHEMA_MINOR = 7
+TEMPERATURE_NUMBERS = ("reference_degc", "low_degc", "high_degc", "lag_s")
+"""Keys of a dependence on temperature beside its coefficients."""
 
 _ROUNDED = 1e-7
 """By so much a correlation may pass one, and an eigenvalue for each scalar zero, through rounding."""
@@ -368,6 +371,7 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
             *(f"{name}_sigma" for name in ("T_imu_body_rotation", "T_imu_body_translation", placed[1])),
         ]
     optional += ["origin"] if minor >= 6 else []
+    optional += ["temperature"] if minor >= 7 else []
     triads = node.mapping(required, optional)
     if triads.keys().isdisjoint(_TRIADS):
         raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
@@ -382,7 +386,19 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
         accelerometer=accelerometer,
         gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
         magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
+        temperature=_temperature(triads["temperature"]) if "temperature" in triads else None,
     )
+
+
+def _temperature(node: Node) -> TemperatureDependence:
+    keys = node.mapping(TEMPERATURE_NUMBERS, [*TEMPERATURE_PARTS, *(f"{name}_sigma" for name in TEMPERATURE_PARTS)])
+    reference, low, high, lag = (keys[name].number() for name in TEMPERATURE_NUMBERS)
+    if not low < high:
+        raise keys["high_degc"].fail("the range ends at or below its begin.")
+    parts = {
+        name: np.array([row.floats(3) for row in keys[name].items()]) for name in TEMPERATURE_PARTS if name in keys
+    }
+    return TemperatureDependence(reference_degc=reference, low_degc=low, high_degc=high, lag_s=lag, **parts)
 
 
 def _origin(node: Node) -> Origin:

@@ -29,7 +29,7 @@ from ...results.calibration import (
 )
 from ...results.trust import Need, QuantityChange, UncertaintySummary
 from ..shared.yaml_text import yaml_lines
-from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
+from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, TEMPERATURE_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
 
 FRAMES = {
     "accel-x": "x along the sensitivity axis of the x accelerometer, the axis of the y accelerometer in the x-y plane",
@@ -121,6 +121,14 @@ _ACCELEROMETER_SHIFT = """\
 #
 """
 
+_TEMPERATURE = """\
+#
+# Temperature: sensitivities and biases hold at reference_degc. With d = T - reference_degc, in sensor axes and row j
+# for d^j, gyroscope_bias and accelerometer_bias (unit/K^j) are added to the bias, from low_degc to high_degc; beyond
+# at the nearer end. lag_s: the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x, in s.
+#
+"""
+
 _SIGMAS = """\
 # Every *_sigma is one standard deviation, and the square root of the covariance's diagonal at the end of this file.
 """
@@ -161,6 +169,8 @@ def calibration_text(calibration: Calibration) -> str:
         header += _SEVERAL_IMUS
     if _with_shifted_accelerometer(calibration):
         header += _ACCELEROMETER_SHIFT
+    if _with_temperature(calibration):
+        header += _TEMPERATURE
     header += (_CAMERAS if calibration.cameras else "") + _SIGMAS
     return header + "\n" + "\n".join(yaml_lines(_document(calibration))) + "\n"
 
@@ -188,22 +198,19 @@ def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
     trust = calibration.assessment.trust
-    if _tells_of_occasions(trust) or trust.changes or _with_origin(calibration):
-        return 6
-    if not calibration.imus:
-        return 4
-    if any(imu.T_imu_body is not None for imu in imus) or _with_shifted_accelerometer(calibration):
-        return 5
-    if _with_lever_arms(calibration) or _tells(calibration.assessment.trust):
-        return 3
-    if (
-        any(imu.accelerometer is None or imu.magnetometer is not None for imu in imus)
+    asks = {
+        7: _with_temperature(calibration),
+        6: _tells_of_occasions(trust) or trust.changes or _with_origin(calibration),
+        4: not calibration.imus,
+        5: any(imu.T_imu_body is not None for imu in imus) or _with_shifted_accelerometer(calibration),
+        3: _with_lever_arms(calibration) or _tells(trust),
+        2: any(imu.accelerometer is None or imu.magnetometer is not None for imu in imus)
         or calibration.frame in ("gyro-x", "mag-x")
         or math.isfinite(holdout.rate_rms)
-        or math.isfinite(holdout.field_rms)
-    ):
-        return 2
-    return 1 if calibration.cameras or calibration.assessment.camera_imu else 0
+        or math.isfinite(holdout.field_rms),
+        1: calibration.cameras or calibration.assessment.camera_imu,
+    }
+    return next((minor for minor, asked in asks.items() if asked), 0)
 
 
 def _with_lever_arms(calibration: Calibration) -> bool:
@@ -226,6 +233,10 @@ def _says_more(imu: ImuCalibration) -> bool:
 def _with_shifted_accelerometer(calibration: Calibration) -> bool:
     sensors = [imu.accelerometer for imu in calibration.imus.values()]
     return any(sensor is not None and sensor.time_shift_s is not None for sensor in sensors)
+
+
+def _with_temperature(calibration: Calibration) -> bool:
+    return any(imu.temperature is not None for imu in calibration.imus.values())
 
 
 def _tells_of_occasions(trust: UncertaintySummary) -> bool:
@@ -257,6 +268,8 @@ def _imus(calibration: Calibration) -> dict[str, Any]:
             result[name]["T_imu_body"] = imu.T_imu_body
         if imu.origin is not None and _says_more(imu):
             result[name]["origin"] = _origin(imu.origin)
+        if imu.temperature is not None:
+            result[name]["temperature"] = {key: float(getattr(imu.temperature, key)) for key in TEMPERATURE_NUMBERS}
     for path, value in calibration_parameters(calibration.imus):
         imu, key, sigma_key = imu_keys(path)
         entry = result[imu]

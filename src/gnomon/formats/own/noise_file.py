@@ -10,6 +10,7 @@ from ...output import write_together, write_whole
 from ...results.calibration import Verdict
 from ...results.sensor_noise import (
     COEFFICIENTS,
+    DATASHEET_UNITS,
     SENSOR_UNITS,
     UNITS,
     AxisNoise,
@@ -145,7 +146,19 @@ def save_noise_files(result: NoiseResult, folder: str | PathLike[str]) -> tuple[
 
 def noise_text(noise: SensorNoise) -> str:
     """Return the text of noise.yaml."""
-    return _HEADER + "\n".join(yaml_lines(noise_document(noise))) + "\n"
+    return _HEADER + _datasheet_comments(noise) + "\n".join(yaml_lines(noise_document(noise))) + "\n"
+
+
+def _datasheet_comments(noise: SensorNoise) -> str:
+    """Say the coefficients in the units of data sheets."""
+    lines = ["", "In the units of data sheets (x, y, z), for people:"]
+    for sensor, triad in noise.triads.items():
+        for name, units in DATASHEET_UNITS[sensor].items():
+            found = [axis.coefficients()[name] for axis in triad.axes]
+            for unit, factor in units:
+                values = "  ".join(f"{'' if one.found else '< '}{factor * one.most:.4g}" for one in found)
+                lines.append(f"  {f'{sensor} {name}':<32}{values}  {unit}")
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
 def noise_document(noise: SensorNoise) -> dict[str, Any]:
@@ -209,7 +222,11 @@ def kalibr_input_text(noise: SensorNoise, topic: str) -> str:
 def _comments(sensor: str, triad: TriadNoise) -> list[str]:
     """Say what numbers of the same noise look like in samples, and which of them are bounds."""
     unit = SENSOR_UNITS[sensor]
+    density = ", ".join(
+        f"{factor * triad.noise_density:.4g} {unit}" for unit, factor in DATASHEET_UNITS[sensor]["white_noise"]
+    )
     lines = [
+        f"{sensor}_noise_density is {density}.",
         f"{sensor} in samples of 1 / {triad.rate_hz:.6g} s, for programs that want that (not Kalibr): a sample",
         f"  scatters by {triad.noise_density * sqrt(triad.rate_hz):.4g} {unit}, its bias walks by "
         f"{triad.random_walk / sqrt(triad.rate_hz):.3g} {unit} from sample to sample.",

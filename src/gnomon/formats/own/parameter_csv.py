@@ -25,12 +25,13 @@ from ...results.calibration import (
     element_names,
 )
 from ...results.parameter_units import element_units
+from ...results.sensors import HIGHEST_ORDER, TEMPERATURE_PARTS, TemperatureDependence
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..foreign import ForeignCalibration, recognised_frame
 from ..shared.entries import IMU_EQUATION, camera_equation
 from ..shared.losses import Context, Export, Loss
 from ..shared.structured import read_structured_text
-from .calibration_file import FIELD_UNITS
+from .calibration_file import FIELD_UNITS, TEMPERATURE_NUMBERS
 from .calibration_text import FRAMES
 
 _SHAPES = {
@@ -104,7 +105,21 @@ class _Table:
             gyroscope=self.gyroscope(name) if "gyroscope" in there else None,
             magnetometer=self.magnetometer(name) if "magnetometer" in there else None,
             **self.placed(name),
+            temperature=self.temperature(name),
         )
+
+    def temperature(self, name: str) -> TemperatureDependence | None:
+        """Return how an IMU changes with the temperature; None where no row tells."""
+        if f"{name}.temperature.{TEMPERATURE_NUMBERS[0]}" not in self.rows:
+            return None
+        reference, low, high, lag = (float(self.words(f"{name}.temperature.{key}")) for key in TEMPERATURE_NUMBERS)
+        parts: dict[str, Floats] = {}
+        for part in TEMPERATURE_PARTS:
+            path = f"{name}.temperature.{part}"
+            order = sum(f"{path}[{j},0]" in self.rows for j in range(HIGHEST_ORDER))
+            if order:
+                parts[part] = self.take(path, (order, 3))[0]
+        return TemperatureDependence(reference_degc=reference, low_degc=low, high_degc=high, lag_s=lag, **parts)
 
     def placed(self, name: str) -> dict[str, Any]:
         """Return pose and clock of an IMU beside the body; nothing of the body."""
@@ -242,6 +257,13 @@ def export(calibration: Calibration, context: Context) -> Export:
         rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
     alone = not calibration.imus
     rows += [row for name, camera in calibration.cameras.items() for row in _camera(name, camera.camera, alone=alone)]
+    for name, imu in calibration.imus.items():
+        if imu.temperature is not None:
+            units = (*["degC"] * 3, "s")
+            known = [(key, float(getattr(imu.temperature, key))) for key in TEMPERATURE_NUMBERS]
+            rows += [
+                f"{name}.temperature.{key},{value!r},,{unit}" for (key, value), unit in zip(known, units, strict=True)
+            ]
     for path, value in calibration_parameters(calibration.imus, calibration.cameras):
         numbers = value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), element_units(calibration, path)
         for name, number, sigma, unit in zip(element_names(path, value.shape), *numbers, strict=True):

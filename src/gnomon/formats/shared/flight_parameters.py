@@ -184,5 +184,8 @@ def flight_losses(calibration: Calibration, whose: str, most: int, context: Cont
                     else f"{whose} knows an offset for each axis only. Use the c-header to correct the rest.",
                     size=rest_size(rest, conversion.triad),
                 )
-    holds = Holds(program=whose, imus=most, cameras=0, samples_in_si=False, g_sensitivity=False, floats="keeps")
+    holds = Holds(
+        program=whose, imus=most, cameras=0, samples_in_si=False, g_sensitivity=False, temperature=True,
+        floats="keeps",
+    )  # fmt: skip
     yield from not_representable(calibration, holds, context)

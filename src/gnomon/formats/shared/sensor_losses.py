@@ -11,6 +11,7 @@ from ...frozen import value_class
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
+from ...results.sensors import TemperatureDependence
 from ...units import STANDARD_GRAVITY_M_S2
 from .lenses import k3_losses
 from .losses import (
@@ -38,7 +39,8 @@ class Holds:
     program : its name
     imus, cameras : how many, None for any number; cameras 0 for a format of inertial sensors
     samples_in_si : whether samples have to be in m/s^2 and rad/s, so that counts need a conversion
-    sensitivity, bias, g_sensitivity, lever_arms, accelerometer_clock, magnetometer : whether there is a key
+    sensitivity, bias, g_sensitivity, lever_arms, accelerometer_clock, magnetometer, temperature : whether there is a
+        key
     ideal_gyroscope : whether an ideal gyroscope stands in where none was calibrated
     time_shift : "each" camera has one, "one" for all, or "none"
     k3 : whether radtan may have a third radial coefficient
@@ -60,6 +62,7 @@ class Holds:
     lever_arms: bool = False
     accelerometer_clock: bool = False
     magnetometer: bool = False
+    temperature: bool = False
     ideal_gyroscope: bool = False
     time_shift: Literal["each", "one", "none"] = "each"
     k3: bool = True
@@ -110,6 +113,21 @@ def _imu_losses(name: str, imu: ImuCalibration, holds: Holds, context: Context) 
         yield Loss(what=f"gyroscope of {name}", why="it was not calibrated; the file has an ideal one.")
     if holds.without_noise:
         yield from _noise_losses(context.of(name), holds)
+    if imu.temperature is not None:
+        yield from _temperature_losses(name, imu.temperature, holds)
+
+
+def _temperature_losses(name: str, found: TemperatureDependence, holds: Holds) -> Iterator[Loss]:
+    """Yield what of a dependence on temperature has no place."""
+    parts = dict(found.parts())
+    if not holds.temperature:
+        if parts:
+            only = f"it is right at {found.reference_degc:g} degC, the temperature to which the file refers."
+            yield Loss(what=f"temperature of {name}", why=f"{holds.program} knows none; {only}")
+        return
+    if found.lag_s and parts:
+        why = f"{holds.program} takes the thermometer's reading, which follows the sensor by {found.lag_s:.0f} s."
+        yield Loss(what=f"lag of the thermometer of {name}", why=why)
 
 
 def _camera_losses(calibration: Calibration, holds: Holds) -> Iterator[Loss]:

@@ -175,9 +175,9 @@ def _image(
     for k, polygon in enumerate(occluders):
         _occlude(scene, polygon, options.black if k % 2 == 0 else options.white, options.blur_px)
     if options.vignetting or any(options.gradient):
-        scene *= _light(camera.resolution, options.vignetting, options.gradient)
+        scene *= light_falloff(camera.resolution, options.vignetting, options.gradient)
     if rng is not None and (options.noise or options.shot_noise):
-        _add_noise(scene, options, rng)
+        add_noise(scene, options, rng)
     return np.asarray(cv2.convertScaleAbs(np.maximum(scene, 0, out=scene)), dtype=np.uint8)
 
 
@@ -344,7 +344,7 @@ def _wall_light(wall: Wall, camera: Camera, movement: Movement, lens: _Blur) -> 
     """Return the grey levels of the wall, mean over the exposure."""
     import cv2
 
-    rays = _rays(camera)
+    rays = pixel_rays(camera)
     light = np.zeros((rays.shape[0], rays.shape[2]), np.float32)
     chosen = np.linspace(0, movement.instants - 1, min(movement.instants, _WALL_INSTANTS)).round().astype(int)
     for instant in chosen.tolist():
@@ -365,7 +365,7 @@ def _wall_light(wall: Wall, camera: Camera, movement: Movement, lens: _Blur) -> 
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Camera) -> Singles:
+def pixel_rays(camera: Camera) -> Singles:
     """Return the rays of the pixels, (height, 3, width); zero where the lens has none."""
     width, height = camera.resolution
     rays = np.empty((height, 3, width), np.float32)
@@ -377,14 +377,15 @@ def _rays(camera: Camera) -> Singles:
 
 
 @lru_cache(maxsize=4)
-def _light(resolution: tuple[int, int], vignetting: float, gradient: tuple[float, float]) -> Singles:
+def light_falloff(resolution: tuple[int, int], vignetting: float, gradient: tuple[float, float]) -> Singles:
     """Return the light in each pixel, one in the middle."""
     x, y = ((np.arange(side) - (side - 1) / 2) / (side / 2) for side in resolution)
     falls = 1 - vignetting * (x * x + (y * y)[:, None]) / 2
     return (falls * (1 + gradient[0] * x + gradient[1] * y[:, None])).astype(np.float32)
 
 
-def _add_noise(scene: Singles, options: Optics, rng: np.random.Generator) -> None:
+def add_noise(scene: Singles, options: Optics, rng: np.random.Generator) -> None:
+    """Add the noise of sensor and light to grey levels, in place."""
     noise = rng.standard_normal(scene.shape, dtype=np.float32)
     if options.shot_noise:
         noise *= np.sqrt(np.float32(options.noise**2) + np.float32(options.shot_noise) * np.maximum(scene, 0))

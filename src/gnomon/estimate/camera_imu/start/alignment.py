@@ -50,7 +50,7 @@ class GyroscopeIntegral:
 
     def __call__(self, t_s: Floats) -> Floats:
         """Return the integral (..., 3) at instants (...) [s], held at the ends."""
-        return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(3)], axis=-1)
+        return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(self.angle.shape[1])], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +102,7 @@ class _Turns:
 def gyroscope_integral(t_s: Floats, rate: Floats) -> GyroscopeIntegral:
     """Return the integral of angular rates (n, 3) [rad/s] by the trapezoidal rule."""
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None]
-    return GyroscopeIntegral(t_s=t_s, angle=np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
+    return GyroscopeIntegral(t_s=t_s, angle=np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)]))
 
 
 def align_camera(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignment:

@@ -5,6 +5,7 @@ steps refine it.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -131,7 +132,8 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             scatter_px=np.empty(0),
             sigma_px=float("nan"),
         )
-    rotation, p = homography_poses(exposures, frames.camera)
+    first_poses = resection_poses if target.kind == "landmarks" else homography_poses
+    rotation, p = first_poses(exposures, frames.camera)
     noise = CornerNoise(sigma_px=1.0, huber=np.inf)
     for step in range(_REFINEMENTS):
         sums = corner_sums(exposures, frames.camera, rotation, p, noise)
@@ -240,6 +242,24 @@ def homography_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Floa
     rotation *= np.where(np.linalg.det(rotation) < 0, -1.0, 1.0)[:, None, None]
     origin = np.array([*centre, 0.0])
     return rotation, homography[:, :, 2] * size - rotation @ origin
+
+
+def resection_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Floats]:
+    """Return poses from points that lie anywhere, exposure by exposure; see `homography_poses`."""
+    import cv2
+
+    rays, valid = camera.unproject(exposures.pixels)
+    ahead = valid & (rays[:, 2] > 0.1)
+    R, p = np.tile(np.eye(3), (len(exposures), 1, 1)), np.zeros((len(exposures), 3))
+    for k, corners in enumerate(pairwise(exposures.start.tolist())):
+        rows = np.arange(*corners)[ahead[slice(*corners)]]
+        if len(rows) < FEWEST_CORNERS:
+            continue
+        plane = rays[rows, :2] / rays[rows, 2:]
+        found, turn, place = cv2.solvePnP(exposures.points[rows], plane, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+        if found:
+            R[k], p[k] = rotation_from_rotvec(np.asarray(turn, np.float64).ravel()), place.ravel()
+    return R, p
 
 
 def _mean_plane_point(x: Floats, y: Floats, weight: Floats, starts: Integers) -> Floats:

@@ -19,6 +19,9 @@ _SHARE = 0.01
 """Prior standard deviation of a corner's shift, as a share of the side of a tag or a square, or the distance of two
 circles: what a bad print or a detector does, and far more than the recording leaves open."""
 
+_SCENE = 0.2
+"""The same of a landmark, as a share of the size of the scene."""
+
 _GAUGE = 1e-3
 """Standard deviation of the freedoms of the whole board, as a share of that of a corner."""
 
@@ -42,12 +45,13 @@ class BoardPoints:
 
     @classmethod
     def nominal(cls, target: Target) -> "BoardPoints":
-        """Return a board as it was stated."""
+        """Return a board as it was stated; of landmarks hardly more than that they are there is known."""
         sides = {
             "aprilgrid": target.tag_size_m,
             "checkerboard": min(target.row_spacing_m, target.col_spacing_m),
             "circlegrid": target.spacing_m,
             "charuco": target.square_size_m,
+            "landmarks": _SCENE / _SHARE * float(np.sqrt(np.mean((target.points - target.points.mean(axis=0)) ** 2))),
         }
         side = sides[target.kind]
         return cls(

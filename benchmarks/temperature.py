@@ -1,0 +1,138 @@
+"""Biases over the temperature: gnomon beside the methods of PX4 and ArduPilot, on warm-ups that none of them saw.
+
+    python benchmarks/temperature.py --seeds 100 --first 90000 --write
+
+Each seed draws a sensor (order, turn-on scatter), a thermometer (lag 0 to 60 s, steps 0.01 to 1 K) and five warm-ups
+of one range and speed; four are used, and the change of the bias over the fifth is foretold. Its error is against
+the truth of the simulation, the mean left out, which belongs to the switching-on. PX4: a cubic by least squares through
+all samples, with the temperature as read (process_sensor_caldata.py, by its description). ArduPilot: a cubic through
+means of two seconds (INS_TCAL, by its documentation). Healthy: sensors that do not change, or a steady temperature.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import gnomon
+from gnomon.recording.thermometer import temperature_course
+from gnomon.simulate.scenarios import TemperatureScenario
+from gnomon.simulate.temperature import TemperatureSimulation, simulate_temperature
+
+HERE = Path(__file__).parent
+Floats = np.ndarray
+AT = 200
+
+
+def scenario_of(rng: np.random.Generator, order: int) -> TemperatureScenario:
+    """Return a sensor and its thermometer."""
+    return TemperatureScenario(
+        recordings=5,
+        rate_hz=20.0,
+        duration_s=900.0,
+        order=order,
+        start_degc=float(rng.uniform(-5, 15)),
+        end_degc=float(rng.uniform(45, 60)),
+        time_constant_s=float(rng.uniform(120, 300)),
+        lag_s=float(rng.choice([0.0, 10.0, 30.0, 60.0])),
+        step_k=float(rng.choice([0.01, 0.1, 0.5, 1.0])),
+        gyroscope_turn_on=float(rng.choice([1e-4, 1e-3])),
+    )
+
+
+def means(values: Floats, count: int) -> Floats:
+    return np.array([part.mean(axis=0) for part in np.array_split(values, count)])
+
+
+def cubic(made: TemperatureSimulation, every_s: float) -> Floats:
+    """Return the coefficients of a cubic through samples, or means of so many seconds, and what was read."""
+    x, y = [], []
+    for recording in made.recordings[:-1]:
+        imu = recording.imus["imu0"]
+        count = len(imu.gyroscope) if not every_s else int(imu.gyroscope.duration_s / every_s)
+        x.append(means(imu.temperature.values, count) if every_s else imu.temperature.values)
+        y.append(means(imu.gyroscope.values, count) if every_s else imu.gyroscope.values)
+    return np.polynomial.polynomial.polyfit(np.concatenate(x) - 35.0, np.concatenate(y), 3)
+
+
+def errors(seed: int) -> tuple[dict[str, float], float, bool]:
+    """Return the rms error of each method [rad/s], the rms of ours in sigmas, and whether the order is right."""
+    rng = np.random.default_rng(seed)
+    order = int(rng.integers(0, 4))
+    made = simulate_temperature(scenario_of(rng, order), seed)
+    result = gnomon.calibrate_temperature(made.recordings[:-1])
+    found = result.calibration.imus["imu0"].temperature
+    left_out = made.recordings[-1].imus["imu0"]
+    at = np.linspace(0, len(left_out.gyroscope) - 1, AT).astype(int)
+    truth = made.truth.change("gyroscope_bias", made.degc[-1][at])
+    truth -= truth.mean(axis=0)
+    course = temperature_course(left_out.temperature, found.lag_s)
+    degc = course.at(left_out.gyroscope.t_ns[at])
+    ours = found.change("gyroscope_bias", degc)
+    ours -= ours.mean(axis=0)
+    read = left_out.temperature.values[at] - 35.0
+    known = {"gnomon": float(np.sqrt(np.mean((ours - truth) ** 2)))}
+    for name, every_s in (("PX4", 0.0), ("ArduPilot", 2.0)):
+        theirs = np.polynomial.polynomial.polyval(read, cubic(made, every_s)).T
+        theirs -= theirs.mean(axis=0)
+        known[name] = float(np.sqrt(np.mean((theirs - truth) ** 2)))
+    z = float("nan")
+    if found.gyroscope_bias is not None:
+        count = len(found.gyroscope_bias)
+        covariance = result.calibration.covariance("imu0.temperature.gyroscope_bias")
+        powers = np.vander(degc - found.reference_degc, count + 1, increasing=True)[:, 1:]
+        powers -= powers.mean(axis=0)
+        variance = [np.einsum("ij,jk,ik->i", powers, covariance[a::3, a::3], powers) for a in range(3)]
+        z = float(np.sqrt(np.mean((ours - truth) ** 2) / np.mean(variance)))
+    return known, z, result.triads["gyroscope"].order == order
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Compare biases over the temperature with PX4 and ArduPilot.")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--healthy", type=int, default=0, help="sensors that do not change")
+    parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
+    options = parser.parse_args()
+    rows, zs, right = [], [], 0
+    for seed in range(options.first, options.first + options.seeds):
+        known, z, ok = errors(seed)
+        rows.append([known[name] for name in ("gnomon", "PX4", "ArduPilot")])
+        zs.append(z)
+        right += ok
+        print(
+            seed, " ".join(f"{name} {1e6 * value:.1f}" for name, value in known.items()), f"z {z:.2f} {ok}", flush=True
+        )
+    table = np.array(rows)
+    ratio = np.sqrt(np.mean(table**2, axis=0))
+    z_rms = float(np.sqrt(np.nanmean(np.square(zs))))
+    lines = [
+        f"seeds {options.first} to {options.first + options.seeds - 1}: order right in {right} of {options.seeds}, "
+        f"errors of ours {z_rms:.2f} sigma rms",
+        "",
+        "| | rms error of the left-out warm-up [µrad/s] | median | of gnomon's, rms |",
+        "| --- | --- | --- | --- |",
+        *(
+            f"| {name} | {1e6 * one:.1f} | {1e6 * np.median(table[:, i]):.1f} | {one / ratio[0]:.1f} |"
+            for i, (name, one) in enumerate(zip(("gnomon", "PX4", "ArduPilot"), ratio, strict=True))
+        ),
+    ]
+    kept = 0
+    for seed in range(options.first, options.first + options.healthy):
+        rng = np.random.default_rng(seed)
+        scenario = replace(scenario_of(rng, 0), recordings=2)
+        if seed % 2:
+            scenario = replace(scenario, start_degc=25.0, end_degc=25.4)
+        result = gnomon.calibrate_temperature(simulate_temperature(scenario, seed).recordings)
+        kept += not any(triad.order for triad in result.triads.values())
+    if options.healthy:
+        lines += ["", f"healthy: order 0 kept in {kept} of {options.healthy}"]
+    print("\n".join(lines))
+    if options.write:
+        text = "# Biases over the temperature\n\nWritten by `python benchmarks/temperature.py --write`.\n\n"
+        (HERE / "results-temperature.md").write_text(text + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""What there is to say of a sensor over its temperature."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...findings import Finding, make_finding
+from ...frozen import value_class
+from ...results.temperature import TriadOverTemperature
+from ..verdict import merge_by_cause
+
+_BRANCHES_SIGMAS, _BRANCHES_SHARE = 4.0, 0.05
+"""When rising and falling differ: in sigmas, and of the change over the range."""
+_OFF_Z = 3.5
+_STIRRED = 0.02
+_SHOWN = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s^2")}
+
+
+@value_class
+class TemperatureEvidence:
+    """What the verdict rests on.
+
+    Attributes
+    ----------
+    triads : as described
+    low_degc, high_degc : range that was seen [degC]
+    most : highest order that the range supports
+    step_k : of the thermometer [K]
+    lag_s, lag_sigma_s : of the thermometer
+    recordings : number of warm-ups
+    nominal : whether no calibration was given
+    stirred : share of the time that was left out
+    """
+
+    triads: Mapping[str, TriadOverTemperature]
+    low_degc: float
+    high_degc: float
+    most: int
+    step_k: float
+    lag_s: float
+    lag_sigma_s: float
+    recordings: int
+    nominal: bool
+    stirred: float
+
+
+def temperature_findings(evidence: TemperatureEvidence, thermometers: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return reasons and advice, the worst first.
+
+    Parameters
+    ----------
+    thermometers : what the thermometers show, of each recording
+    """
+    findings = [*thermometers]
+    low, high = evidence.low_degc, evidence.high_degc
+    if not evidence.most:
+        findings.append(make_finding("temperature-range/narrow", low=low, high=high, step=evidence.step_k))
+    else:
+        findings.append(make_finding("temperature-range/good", low=low, high=high, most=evidence.most))
+    for name, triad in evidence.triads.items():
+        findings += [_order_finding(name, triad, evidence), *_branch_findings(name, triad), *_scatter(name, triad)]
+    if evidence.lag_s:
+        findings.append(make_finding("thermometer-lag", lag=evidence.lag_s, sigma=evidence.lag_sigma_s))
+    if evidence.recordings == 1:
+        findings.append(make_finding("turn-on-unknown"))
+    if "accelerometer" in evidence.triads and evidence.triads["accelerometer"].order:
+        findings.append(make_finding("one-attitude"))
+    if evidence.nominal:
+        findings.append(make_finding("sensor-nominal"))
+    if evidence.stirred > _STIRRED:
+        findings.append(make_finding("warm-up-stirred", share=100 * evidence.stirred))
+    return merge_by_cause(findings)
+
+
+def _order_finding(name: str, triad: TriadOverTemperature, evidence: TemperatureEvidence) -> Finding:
+    factor, unit = _SHOWN[name]
+    if not triad.order:
+        sigma = factor * max(_per_range(triad))
+        return make_finding("temperature-order/none", name=name, sigma=sigma, unit=unit)
+    change = max(float(np.ptp(axis.change)) for axis in triad.axes)
+    sigma = max(float(axis.sigma.max()) for axis in triad.axes)
+    return make_finding(
+        "temperature-order/found",
+        name=name,
+        order=triad.order,
+        change=factor * change,
+        sigma=factor * sigma,
+        unit=unit,
+        range=evidence.high_degc - evidence.low_degc,
+    )
+
+
+def _per_range(triad: TriadOverTemperature) -> list[float]:
+    """Return the scatter of each axis over the range that no polynomial explains [SI]."""
+    return [float(np.std(axis.values)) for axis in triad.axes]
+
+
+def _branch_findings(name: str, triad: TriadOverTemperature) -> list[Finding]:
+    z = np.abs(triad.branches) / triad.branches_sigma
+    change = max(float(np.ptp(axis.change)) for axis in triad.axes)
+    apart = (z > _BRANCHES_SIGMAS) & (np.abs(triad.branches) > _BRANCHES_SHARE * change)
+    if not apart.any():
+        return []
+    axis = int(np.nanargmax(np.where(apart, z, np.nan)))
+    factor, unit = _SHOWN[name]
+    return [
+        make_finding(
+            "temperature-branches",
+            name=name,
+            axis="xyz"[axis],
+            apart=factor * float(triad.branches[axis]),
+            sigma=factor * float(triad.branches_sigma[axis]),
+            unit=unit,
+        )
+    ]
+
+
+def _scatter(name: str, triad: TriadOverTemperature) -> list[Finding]:
+    """Say that warm-ups differ by more than the others foretell."""
+    z = triad.left_out_z
+    if not np.isfinite(z).any() or float(np.nanmax(z)) < _OFF_Z:
+        return []
+    recording, axis = np.unravel_index(int(np.nanargmax(z)), z.shape)
+    return [
+        make_finding(
+            "warm-ups-differ", name=name, axis="xyz"[axis], recording=int(recording) + 1, z=float(np.nanmax(z))
+        )
+    ]

@@ -1,0 +1,138 @@
+"""The commands on an IMU over its temperature."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from ...simulate.scenarios import TemperatureScenario
+from ..command import Command, FileOption, Flat, Report, Seed, TableOptions, output_option
+from ..output_folder import default_folder, result_folder
+from ..parsing.arguments import Argument
+from ..results import USABLE, exit_code, print_findings, result_files
+from ..terminal import Terminal
+
+if TYPE_CHECKING:
+    from ...results.temperature import TemperatureResult
+
+FILES = ("calibration.yaml", "report.html")
+_VERDICTS = {
+    "pass": ("usable", "bold green"),
+    "warn": ("usable, with reservations", "bold yellow"),
+    "fail": ("do not use this", "bold red"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Temperature(Command, TableOptions):
+    """Find how the biases of an IMU change with its temperature, from recordings at rest while it warms up.
+
+    Switch the cold sensor on, such as from the freezer in a closed bag, and let it lie at rest until it is warm; three
+    times. The recordings need the chip's thermometer. What is found is added to a calibration of the sensor.
+
+    Examples
+    --------
+    $ gnomon temperature monday.csv tuesday.csv --calibration board-imu --reference-degc 31
+    """
+
+    recordings: Annotated[tuple[Path, ...], Argument(positional=True)]
+    """Recordings of one sensor, each from one switching-on."""
+    calibration: Annotated[Path | None, FileOption] = None
+    """Calibration of the sensor, to which the temperature is added: a calibration.yaml or a result's folder."""
+    reference_degc: float | None = None
+    """Temperature of the chip at which that calibration was made (default: as it states; without one the middle)."""
+    output: Annotated[Path | None, output_option("DIR")] = None
+    """Folder for calibration.yaml and report.html (default: NAME-temperature beside the first recording)."""
+    report: Report = True
+
+    def run(self, terminal: Terminal) -> int:
+        """Find the temperature's effect, write and say it, and return the exit code."""
+        from ...calibrate.temperature import calibrate_temperature
+        from ...formats.own.calibration_file import load
+        from ...formats.own.calibration_text import save
+        from ...readers.recordings import read
+        from ...report.temperature import write_temperature_report
+
+        folder = self.output or default_folder(self.recordings[:1], "temperature")
+        known = None if self.calibration is None else load(self.calibration)
+        with result_folder(folder, "temperature", own=FILES) as staging:
+            terminal.progress("reading the recordings")
+            recordings = [read(path, **self.table) for path in self.recordings]
+            result = calibrate_temperature(
+                recordings, known, reference_degc=self.reference_degc, progress=terminal.progress
+            )
+            save(result.calibration, staging / FILES[0])
+            if self.report:
+                terminal.progress("drawing the report")
+                write_temperature_report(result, staging / FILES[1])
+        _print(result, terminal)
+        files = result_files(folder, FILES if self.report else FILES[:1])
+        for path in files.values():
+            terminal.print(f"written: {path}")
+        terminal.print("")
+        terminal.propose("apply", folder / FILES[0], "RECORDING", "-o", "corrected.csv")
+        code = exit_code(result.calibration)
+        terminal.document(
+            {"verdict": result.calibration.verdict, "exit_code": code, "files": files, **_numbers(result)}
+        )
+        return code
+
+
+def _numbers(result: "TemperatureResult") -> dict[str, object]:
+    found = next(iter(result.calibration.imus.values())).temperature
+    assert found is not None
+    return {
+        "orders": {name: triad.order for name, triad in result.triads.items()},
+        "lag_s": result.lag_s,
+        "lag_sigma_s": result.lag_sigma_s,
+        "reference_degc": found.reference_degc,
+        "range_degc": [found.low_degc, found.high_degc],
+        "coefficients": {name: value.tolist() for name, value in found.parts()},
+        "findings": [
+            {"code": one.code, "severity": one.severity, "message": one.message}
+            for one in result.calibration.assessment.findings
+        ],
+    }
+
+
+def _print(result: "TemperatureResult", terminal: Terminal) -> None:
+    meaning, style = _VERDICTS[result.calibration.verdict]
+    terminal.print(f"{result.calibration.verdict}: {meaning}", style)
+    for finding in result.calibration.assessment.findings:
+        if finding.severity == "good" and finding.code.startswith("temperature-"):
+            terminal.print(f"  {finding.message}")
+    print_findings(result.calibration.assessment.findings, terminal)
+    terminal.print("")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateTemperature(Command):
+    """Make recordings of a simulated IMU at rest that warms up, with its thermometer, and print the truth.
+
+    Examples
+    --------
+    $ gnomon simulate temperature -o warm-ups --lag-s 20
+    """
+
+    output: Annotated[Path, output_option("DIR")]
+    """Folder for warm-up-1.npz and the others."""
+    seed: Seed = 0
+    scenario: Annotated[TemperatureScenario, Flat] = field(default_factory=TemperatureScenario)
+
+    def run(self, terminal: Terminal) -> int:
+        """Write simulated warm-ups, say where, and return the exit code."""
+        from ...simulate.temperature import simulate_temperature
+        from ...writers.recording_file import save_recording
+
+        terminal.progress("simulating")
+        made = simulate_temperature(self.scenario, self.seed)
+        names = tuple(f"warm-up-{i}.npz" for i in range(1, len(made.recordings) + 1))
+        with result_folder(self.output, own=names) as staging:
+            for name, recording in zip(names, made.recordings, strict=True):
+                save_recording(recording, staging / name)
+        files = [self.output / name for name in names]
+        terminal.print(f"recordings   {', '.join(map(str, files))}")
+        terminal.propose("temperature", *files)
+        truth = {"reference_degc": made.truth.reference_degc, "lag_s": made.truth.lag_s}
+        truth |= {name: value.tolist() for name, value in made.truth.parts()}
+        terminal.document({"recordings": [str(path) for path in files], "truth": truth})
+        return USABLE

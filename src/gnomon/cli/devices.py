@@ -1,0 +1,129 @@
+"""Which recordings lie in folders, and of which devices they are: by a table, a file device.yaml, or their names."""
+
+import csv
+import datetime
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+from ..errors import FormatError, OptionError, RecordingError
+from .command import CertificateFacts
+from .output_folder import ALL_RESULT_FILES
+
+DEVICE = "device.yaml"
+"""File in the folder of a recording that states the facts of a certificate."""
+_OTHERS = (".yaml", ".yml", ".json", ".html", ".pdf", ".md", ".db", ".db-wal", ".db-shm", ".log")
+_DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?:[T_-]?\d\d[-:_]?\d\d(?:[-:_]?\d\d)?Z?)?(?!\d)")
+_ALIASES = {"station": "place", "device": "serial", "temperature": "temperature_c"}
+_COLUMNS = tuple(field.name for field in fields(CertificateFacts))
+
+
+def find_recordings(folders: Iterable[Path], table: Path | None) -> list[Path]:
+    """Return the recordings in folders: each file and each folder in one of them, but settings, results and the table.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such folder, or no recording in any of them.
+    """
+    found: list[Path] = []
+    for folder in folders:
+        if not folder.is_dir():
+            raise RecordingError(f"{folder}: there is no such folder. Name folders of recordings, one a device.")
+        for path in sorted(folder.iterdir()):
+            result = path.is_dir() and any((path / name).is_file() for name in ALL_RESULT_FILES - {"imu.yaml"})
+            others = path.is_file() and (path.suffix.lower() in _OTHERS or path.name in ALL_RESULT_FILES)
+            listed = table is not None and table.exists() and path.samefile(table)
+            if not (path.name.startswith(".") or result or others or listed):
+                found.append(path)
+    if not found:
+        raise RecordingError("no recording in these folders: each file or folder in them is the recording of a device.")
+    return found
+
+
+def device_facts(recording: Path, table: Mapping[str, CertificateFacts]) -> CertificateFacts:
+    """Return what is known of a recording's device: by the table, else by device.yaml in its folder, else by its name.
+
+    Raises
+    ------
+    FormatError
+        If device.yaml cannot be read.
+    """
+    from ..formats.own.options_file import read_options
+
+    stem = recording_stem(recording)
+    named = table.get(recording.name) or table.get(stem)
+    if named is None and (recording / DEVICE).is_file():
+        named = read_options(recording / DEVICE, CertificateFacts)
+    serial, date = serial_and_date(stem)
+    if named is None:
+        return CertificateFacts(serial=serial, date=date)
+    return replace(named, serial=named.serial or serial, date=named.date or date)
+
+
+def recording_stem(recording: Path) -> str:
+    """Return the name of a recording without its endings."""
+    name = recording.name.removesuffix(".gz")
+    return name if recording.is_dir() or "." not in name[1:] else name.rsplit(".", 1)[0]
+
+
+def serial_and_date(stem: str) -> tuple[str, str | None]:
+    """Return serial number and date of a recording by its name: the date as it is found, and what is left.
+
+    Examples
+    --------
+    >>> serial_and_date("SN0042_2026-03-31"), serial_and_date("20260331T101500-A7"), serial_and_date("A7")
+    (('SN0042', '2026-03-31'), ('A7', '2026-03-31'), ('A7', None))
+    """
+    for match in _DATE.finditer(stem):
+        date = f"{match[1]}-{match[3]}-{match[4]}"
+        try:
+            datetime.date.fromisoformat(date)
+        except ValueError:
+            continue
+        left = "_".join(
+            part for part in (stem[: match.start()].strip("-_. "), stem[match.end() :].strip("-_. ")) if part
+        )
+        return (left, date) if left else (stem, None)
+    return stem, None
+
+
+def read_device_table(path: Path) -> dict[str, CertificateFacts]:
+    """Read a table of devices: a column `recording`, and any of those that a certificate states.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read, or a column is unknown.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = list(csv.reader(stream))
+    except (OSError, ValueError, csv.Error) as error:
+        raise FormatError(f"{path}: this table cannot be read ({error}).") from error
+    head = [_ALIASES.get(name, name) for name in map(str.strip, rows[0] if rows else [])]
+    unknown = [name for name in head if name not in ("recording", *_COLUMNS)]
+    if "recording" not in head or unknown:
+        raise FormatError(
+            f"{path}: expected a head with recording and any of {', '.join(_COLUMNS)}; found {', '.join(head)}."
+        )
+    return {row["recording"]: _facts(row, path) for row in _records(head, rows[1:], path)}
+
+
+def _records(head: Sequence[str], rows: Iterable[Sequence[str]], path: Path) -> Iterable[dict[str, str]]:
+    for number, row in enumerate(rows, 2):
+        if not any(row):
+            continue
+        if len(row) != len(head):
+            raise FormatError(f"{path}, line {number}: {len(row)} columns, where the head has {len(head)}.")
+        yield {name: cell.strip() for name, cell in zip(head, row, strict=True) if cell.strip() or name == "recording"}
+
+
+def _facts(row: Mapping[str, str], path: Path) -> CertificateFacts:
+    stated = {name: text for name, text in row.items() if name in _COLUMNS and name != "temperature_c"}
+    try:
+        warm = float(row["temperature_c"]) if "temperature_c" in row else None
+        return CertificateFacts(**stated, temperature_c=warm)
+    except (OptionError, ValueError) as error:
+        raise FormatError(f"{path}, {row['recording']}: {error}") from error

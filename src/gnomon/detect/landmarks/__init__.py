@@ -1,0 +1,1 @@
+"""Landmarks of a scene, in images."""

@@ -1,0 +1,205 @@
+"""Landmarks found again: the piece of an image around each is warped to how it should look, and aligned with the image.
+
+Each landmark is what one piece of one image shows, so that errors do not add up as they do from image to image. The
+piece is warped as a plane that faces the camera which took it; in brightness and contrast both may differ.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...geometry.so3 import tangent_basis
+from ...models.camera import Camera
+from ...recording import Floats, Integers
+from ...recording.images import Grey
+
+_SIDE = 95
+"""Side of a piece [px]; OpenCV looks up at most 32767 rows, those of 344 pieces."""
+
+_LIKE = 16  # px about the middle of a piece by which landmarks are compared with each other
+_BORDER_PX = 14.0
+_SIZES = 0.45, 2.2  # of the area of what is seen, over that in the piece
+_MOST_TURNED = 0.6  # cosine of the angle between both lines of sight
+_STEP_PX = 4.0  # longest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Level:
+    """Window of (2 half + 1)^2 samples, `stride` px apart, in blurred images; `rounds` it is moved at most.
+
+    It is kept where both correlate by `alike` at least, and its last move is shorter than `rest_px`.
+    """
+
+    half: int
+    stride: float
+    blur_px: float
+    rounds: int
+    alike: float
+    rest_px: float
+
+
+_COARSE = _Level(half=6, stride=4.0, blur_px=2.5, rounds=8, alike=0.5, rest_px=1.5)
+_FINE = _Level(half=8, stride=1.0, blur_px=0.0, rounds=5, alike=0.8, rest_px=0.15)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Landmarks:
+    """Landmarks of a scene.
+
+    Attributes
+    ----------
+    camera : the lens
+    points : (n, 3) [m]
+    R_anchor, p_anchor : (n, 3, 3), (n, 3) pose of the scene in the camera that took each one's piece
+    pieces : (n side, side) these, one above the other
+    blurred : the same, as they are looked for from afar
+    """
+
+    camera: Camera
+    points: Floats
+    R_anchor: Floats
+    p_anchor: Floats
+    pieces: NDArray[np.float32]
+    blurred: NDArray[np.float32]
+
+    def moved(self, kept: Integers, points: Floats, R_anchor: Floats, p_anchor: Floats) -> "Landmarks":
+        """Return some of the landmarks, with other places and poses."""
+        rows = (kept[:, None] * _SIDE + np.arange(_SIDE)).ravel()
+        pieces, blurred = self.pieces[rows], self.blurred[rows]
+        return replace(self, points=points, R_anchor=R_anchor, p_anchor=p_anchor, pieces=pieces, blurred=blurred)
+
+    def likeness(self) -> float:
+        """Return how much the usual landmark looks like the one that is most like it, as a correlation."""
+        inner = slice(_SIDE // 2 - _LIKE, _SIDE // 2 + _LIKE + 1, 2)
+        pieces = self.pieces.reshape(-1, _SIDE, _SIDE)[:, inner, inner].reshape(len(self.points), -1)
+        pieces = pieces - pieces.mean(axis=1, keepdims=True)
+        pieces /= np.maximum(np.linalg.norm(pieces, axis=1, keepdims=True), 1e-6)
+        alike = pieces @ pieces.T
+        np.fill_diagonal(alike, -1.0)
+        return float(np.median(alike.max(axis=1)))
+
+    def find(self, image: Grey, R: Floats, p: Floats, *, reach_px: float, near: bool) -> tuple[Integers, Floats]:
+        """Return which landmarks are in an image, and where they are.
+
+        Parameters
+        ----------
+        image : to be looked at
+        R, p : (3, 3) and (3,) pose of the scene in the camera's frame, roughly
+        reach_px : how far from where that puts them they may be
+        near : whether that is a few px
+
+        Returns
+        -------
+        landmark : (k,) which
+        pixels : (k, 2) where [px]
+        """
+        which, expected, warps = self._expected(R, p)
+        places = expected.copy()
+        limit = np.array(image.shape[::-1]) - 1 - _BORDER_PX
+        for level in (_FINE,) if near else (_COARSE, _FINE):
+            places, alike, rest = self._aligned(level, blur_image(image, level.blur_px), which, places, warps)
+            kept = (alike > level.alike) & (rest < level.rest_px)
+            kept &= np.linalg.norm(places - expected, axis=1) < reach_px
+            kept &= ((places >= _BORDER_PX) & (places <= limit)).all(axis=1)
+            which, expected, places, warps = which[kept], expected[kept], places[kept], warps[kept]
+        return which, places
+
+    def _expected(self, R: Floats, p: Floats) -> tuple[Integers, Floats, Floats]:
+        """Return which landmarks should be in an image, where (k, 2), and how pieces are warped to it (k, 2, 2)."""
+        anchored = np.einsum("nij,nj->ni", self.R_anchor, self.points) + self.p_anchor
+        placed = self.points @ R.T + p
+        now, then = self.camera.project(placed), self.camera.project(anchored)
+        assert now.by_point is not None
+        assert then.by_point is not None
+        across = tangent_basis(anchored / np.linalg.norm(anchored, axis=1, keepdims=True))
+        turned = np.einsum("ij,nkj,nkl->nil", R, self.R_anchor, across)
+        with np.errstate(all="ignore"):
+            there, here = then.by_point @ across, now.by_point @ turned
+            size = np.linalg.det(here) / np.linalg.det(there)
+            seen = np.einsum("nij,nj->ni", np.swapaxes(self.R_anchor, 1, 2), anchored) @ R.T  # lines of sight
+            cosine = np.einsum("ni,ni->n", seen, placed)
+            cosine /= np.linalg.norm(seen, axis=1) * np.linalg.norm(placed, axis=1)
+            limit = np.array(self.camera.resolution) - 1 - _BORDER_PX
+            inside = ((now.pixels >= _BORDER_PX) & (now.pixels <= limit)).all(axis=1)
+        which = np.flatnonzero(inside & (size > _SIZES[0]) & (size < _SIZES[1]) & (cosine > _MOST_TURNED))
+        return which, now.pixels[which], there[which] @ np.linalg.inv(here[which])
+
+    def _aligned(
+        self, level: _Level, image: NDArray[np.float32], which: Integers, places: Floats, warps: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return where pieces fit, how well (correlation), and the last step [px]."""
+        if not len(which):
+            return places, np.zeros(0), np.zeros(0)
+        template, slope = self._templates(level, which, warps)
+        inverse = np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope + 1e-9 * np.eye(2))
+        length, alike = np.zeros(len(which)), np.zeros(len(which))
+        for _ in range(level.rounds):
+            seen = _sampled(image, places[:, None] + _grid(level))
+            alike = np.einsum("ns,ns->n", seen, template)
+            step = -np.einsum("nij,nsj,ns->ni", inverse, slope, seen - template, optimize=True)
+            length = np.linalg.norm(step, axis=1)
+            step *= np.minimum(1.0, _STEP_PX / np.maximum(length, 1e-9))[:, None]
+            places = places + step
+        return places, alike, length
+
+    def _templates(self, level: _Level, which: Integers, warps: Floats) -> tuple[Floats, Floats]:
+        """Return how pieces should look (k, s), of unit length about their mean, and their slopes (k, s, 2) per px."""
+        wider = _grid(level, 1) @ np.swapaxes(warps, 1, 2)
+        centre = np.stack([np.full(len(which), _SIDE // 2), which * _SIDE + _SIDE // 2], axis=1)
+        side = 2 * level.half + 3
+        values = _looked_up(self.blurred if level.blur_px else self.pieces, centre[:, None] + wider)
+        values = values.reshape(-1, side, side)
+        inner = values[:, 1:-1, 1:-1].reshape(len(which), -1)
+        inner = inner - inner.mean(axis=1, keepdims=True)
+        scale = np.maximum(np.linalg.norm(inner, axis=1, keepdims=True), 1e-6)
+        slopes = values[:, 1:-1, 2:] - values[:, 1:-1, :-2], values[:, 2:, 1:-1] - values[:, :-2, 1:-1]
+        slope = np.stack([slope.reshape(inner.shape) for slope in slopes], axis=2)
+        return inner / scale, slope / (2 * level.stride * scale[:, :, None])
+
+
+def cut_pieces(
+    images: Iterable[tuple[int, Grey]], taken: Integers, pixels: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the pieces of landmarks, and the same blurred, as `Landmarks` has them.
+
+    Parameters
+    ----------
+    images : number and image, of those that are asked for
+    taken, pixels : for each landmark, the number of the image that its piece is from (n,), and where it is there (n, 2)
+    """
+    pieces = np.zeros((len(taken), _SIDE, _SIDE), np.float32)
+    for number, image in images:
+        for k in np.flatnonzero(taken == number).tolist():
+            u, v = pixels[k].tolist()
+            pieces[k] = cv2.getRectSubPix(image, (_SIDE, _SIDE), (u, v), patchType=cv2.CV_32F)
+    blurred = np.stack([blur_image(piece, _COARSE.blur_px) for piece in pieces])
+    return pieces.reshape(-1, _SIDE), blurred.reshape(-1, _SIDE)
+
+
+def blur_image(image: NDArray[Any], sigma_px: float) -> NDArray[np.float32]:
+    """Return an image in float32, blurred."""
+    light = image.astype(np.float32, copy=False)
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px), np.float32) if sigma_px else light
+
+
+def _grid(level: _Level, border: int = 0) -> Floats:
+    reach = np.arange(-level.half - border, level.half + border + 1, dtype=np.float64) * level.stride
+    v, u = np.meshgrid(reach, reach, indexing="ij")
+    return np.asarray(np.stack([u.ravel(), v.ravel()], axis=1), np.float64)
+
+
+def _looked_up(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
+    u, v = (np.ascontiguousarray(at[..., axis], np.float32) for axis in (0, 1))
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:
+    """Return samples (k, s), of unit length about their mean."""
+    values = _looked_up(image, at).astype(np.float64)
+    values -= values.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(values, axis=1, keepdims=True)
+    return np.asarray(values / np.maximum(length, 1e-6), np.float64)

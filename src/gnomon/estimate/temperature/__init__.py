@@ -1,0 +1,1 @@
+"""How parameters of a sensor depend on its temperature."""

@@ -1,0 +1,175 @@
+"""What the library keeps of a calibration, and the calibrations of a line as arrays."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any, Self
+
+import numpy as np
+
+from ..frozen import value_class
+from ..recording import Floats
+from ..results.calibration import Calibration
+from ..results.parameter_units import element_units
+from ..results.parameters import calibration_parameters
+
+
+@value_class
+class LibraryEntry:
+    """A calibration, as the library keeps it.
+
+    Attributes
+    ----------
+    serial, measured, station, operator : what was stated of it; measured is YYYY-MM-DD; "" where it was not
+    temperature_c : of the measurement; nan where it was not stated
+    kind : the command that made it, such as "imu"
+    verdict, use, version, folder : verdict, what it was judged for, the gnomon that made it, the folder of its result
+    gravity : what was taken for gravity [m/s^2]
+    inputs : (name, SHA-256) of each file
+    findings : codes of its problems and warnings
+    needs : (what, sigma, needed, unit, verdict) of each quantity of the use
+    names, units : (n,) of the scalars
+    values : (n,) [units]
+    sigmas : (n,) standard deviations by which it is compared with other devices, gravity's part, which all share, taken
+        off [units]; 0 of what was not estimated
+    covariance : (k, k) of the k scalars whose published variance is not zero [products of units]; (0, 0) where the
+        details were not read
+    covered : (k,) their indices
+    """
+
+    serial: str
+    measured: str
+    station: str
+    operator: str
+    temperature_c: float
+    kind: str
+    verdict: str
+    use: str
+    version: str
+    folder: str
+    gravity: float
+    inputs: tuple[tuple[str, str], ...]
+    findings: tuple[str, ...]
+    needs: tuple[tuple[str, float, float, str, str], ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Floats
+    sigmas: Floats
+    covariance: Floats
+    covered: tuple[int, ...]
+
+    @classmethod
+    def of_calibration(cls, calibration: Calibration, *, serial: str = "", folder: str = "") -> Self:
+        """Return what the library keeps of a calibration; `serial` where the calibration states none."""
+        stated, assessment = calibration.provenance.options, calibration.assessment
+        matrix = calibration.uncertainty.matrix
+        covered = np.flatnonzero(np.diag(matrix) > 0)
+        known = list(calibration_parameters(calibration.imus, calibration.cameras))
+        return cls(
+            serial=stated.get("serial", serial),
+            measured=stated.get("date", ""),
+            station=stated.get("place", ""),
+            operator=stated.get("operator", ""),
+            temperature_c=float(stated.get("temperature_c", "nan")),
+            kind=calibration.provenance.method,
+            verdict=calibration.verdict,
+            use=assessment.trust.use,
+            version=calibration.provenance.gnomon_version,
+            folder=folder,
+            gravity=calibration.gravity.value,
+            inputs=tuple((source.name, source.sha256) for source in calibration.provenance.inputs),
+            findings=tuple(f.code for f in assessment.findings if f.severity in ("problem", "warning")),
+            needs=tuple((n.block, n.sigma, n.needed, n.unit, n.verdict) for n in assessment.trust.needs),
+            names=calibration.uncertainty.names,
+            units=tuple(unit for path, _ in known for unit in element_units(calibration, path)),
+            values=np.concatenate([np.ravel(value) for _, value in known]),
+            sigmas=_comparable_sigmas(calibration),
+            covariance=matrix[np.ix_(covered, covered)],
+            covered=tuple(covered.tolist()),
+        )
+
+    @property
+    def key(self) -> str:
+        """A hash of what was measured and found, whenever and wherever it is added."""
+        facts = [getattr(self, f.name) for f in fields(self) if f.name not in _UNKEYED]
+        digest = hashlib.sha256(json.dumps([*facts, str(self.temperature_c)]).encode())
+        digest.update(self.values.tobytes() + self.covariance.tobytes())
+        return digest.hexdigest()
+
+    @property
+    def digests(self) -> frozenset[str]:
+        """Hashes of the files that hold measurements, not settings."""
+        return frozenset(digest for name, digest in self.inputs if not name.lower().endswith((".yaml", ".yml")))
+
+
+_UNKEYED = frozenset(("folder", "values", "sigmas", "covariance", "covered", "needs", "findings", "temperature_c"))
+
+
+def _comparable_sigmas(calibration: Calibration) -> Floats:
+    """Return standard deviations (n,) without gravity's part, by which all scales of a place are wrong alike.
+
+    A sensitivity S goes as 1 / g, so that this part is S sigma_g / g. Of cameras with an IMU, which see accelerations,
+    it may be less; there a hundredth of the variance is left at least.
+    """
+    least = 1e-2 if calibration.cameras else 1e-6  # of the variance; without cameras all of gravity's part is in it
+    variance = np.diag(calibration.uncertainty.matrix).copy()
+    relative = calibration.gravity.sigma / calibration.gravity.value
+    place = 0
+    for path, value in calibration_parameters(calibration.imus, calibration.cameras):
+        part = slice(place, place + np.size(value))
+        if path.endswith("accelerometer.sensitivity"):
+            variance[part] = np.maximum(variance[part] - (np.ravel(value) * relative) ** 2, least * variance[part])
+        place = part.stop
+    return np.sqrt(variance)
+
+
+@value_class
+class LineTable:
+    """Calibrations of one kind as arrays, in the order of their dates.
+
+    Attributes
+    ----------
+    entries : (n,)
+    names, units : (k,) of the scalars that any of them estimated
+    values, sigmas : (n, k) [units]; nan where it was not estimated
+    """
+
+    entries: tuple[LibraryEntry, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Floats
+    sigmas: Floats
+
+    def rows(self, kept: Sequence[int] | np.ndarray[Any, Any]) -> Self:
+        """Return the same of some rows."""
+        return replace(
+            self,
+            entries=tuple(self.entries[i] for i in np.asarray(kept, dtype=int)),
+            values=self.values[kept],
+            sigmas=self.sigmas[kept],
+        )
+
+
+def line_table(entries: Sequence[LibraryEntry]) -> LineTable:
+    """Return the calibrations of a line as arrays."""
+    units: dict[str, str] = {}
+    layouts = {entry.names: entry.units for entry in entries}
+    for names, own in layouts.items():
+        units |= dict(zip(names, own, strict=True))
+    column = {name: index for index, name in enumerate(units)}
+    places = {names: np.array([column[name] for name in names], dtype=int) for names in layouts}
+    values, sigmas = np.full((2, len(entries), len(units)), np.nan)
+    for row, entry in enumerate(entries):
+        known = entry.sigmas > 0
+        at = places[entry.names][known]
+        values[row, at], sigmas[row, at] = entry.values[known], entry.sigmas[known]
+    used: list[int] = np.flatnonzero(np.isfinite(values).any(axis=0)).tolist()
+    names = list(units)
+    return LineTable(
+        entries=tuple(entries),
+        names=tuple(names[k] for k in used),
+        units=tuple(units[names[k]] for k in used),
+        values=values[:, used],
+        sigmas=sigmas[:, used],
+    )

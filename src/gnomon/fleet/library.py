@@ -1,0 +1,245 @@
+"""The library of a fleet: every calibration of every device, in one SQLite file or in PostgreSQL.
+
+Each is kept with its parameters and their full covariance, the hashes of its inputs, the software that made it,
+station, operator and temperature. A calibration is in it once, however often it is added. All writing is in
+transactions, and a writer waits for another one; so a process may be killed at any moment.
+"""
+
+import hashlib
+import json
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from ..errors import FormatError, OptionError, OutputError
+from ..recording import Floats
+from .entries import LibraryEntry
+from .schema import CALIBRATIONS, DETAILS, LAYOUTS, RUNS, migrate_schema, needs_migration
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection, Engine
+
+_WAIT_S = 30.0
+"""How long a writer waits for another one of the same SQLite file."""
+_LOCK = 0x676E6F6D6F6E  # of writers in PostgreSQL: "gnomon"
+_PART = 1000  # rows that are fetched at once
+
+
+class Library:
+    """An open library.
+
+    Parameters
+    ----------
+    place : path of an SQLite file, which is made where there is none, or a URL such as postgresql://host/name
+    create : whether a new one may be made
+
+    Raises
+    ------
+    OptionError
+        If SQLAlchemy is missing, or the database cannot be reached.
+    FormatError
+        If it is no library, or a newer gnomon's.
+    """
+
+    def __init__(self, place: str, *, create: bool = False) -> None:
+        self._engine = _connected(place, create=create)
+        with self._engine.connect() as connection:
+            outdated = needs_migration(connection, place)
+        if outdated:
+            with self._writing() as connection:
+                migrate_schema(connection)
+
+    def add(self, *entries: LibraryEntry) -> int:
+        """Add calibrations, all or none, and return how many are new.
+
+        Raises
+        ------
+        OutputError
+            If the database cannot be written.
+        """
+        with self._writing() as connection:
+            return sum(_insert(connection, entry) for entry in entries)
+
+    def find(self, key: str) -> str | None:
+        """Return the record of a run that is done (`gnomon.study.runs.Journal`)."""
+        from sqlalchemy import select
+
+        with self._engine.connect() as connection:
+            return connection.scalar(select(RUNS.c.record).where(RUNS.c.key == key))
+
+    def keep_run(self, key: str, record: str, entry: LibraryEntry | None) -> None:
+        """Keep the record of a run and its calibration, both or neither."""
+        with self._writing() as connection:
+            if entry is not None:
+                _insert(connection, entry)
+            connection.execute(RUNS.delete().where(RUNS.c.key == key))
+            connection.execute(RUNS.insert().values(key=key, record=record))
+
+    def entries(
+        self, *, serial: str | None = None, kind: str | None = None, details: bool = False
+    ) -> Iterator[LibraryEntry]:
+        """Yield the calibrations in the order of their dates, those of one day as they were added.
+
+        Parameters
+        ----------
+        serial, kind : only those; None for all
+        details : whether covariance and needs are read
+        """
+        from sqlalchemy import select
+
+        joined = CALIBRATIONS.join(DETAILS) if details else CALIBRATIONS
+        columns = [*CALIBRATIONS.c, *((DETAILS.c.covariance, DETAILS.c.needs) if details else ())]
+        query = select(*columns).select_from(joined).order_by(CALIBRATIONS.c.measured, CALIBRATIONS.c.id)
+        for column, wanted in ((CALIBRATIONS.c.serial, serial), (CALIBRATIONS.c.kind, kind)):
+            query = query if wanted is None else query.where(column == wanted)
+        with self._engine.connect() as connection:
+            layouts = {
+                row.id: (tuple(json.loads(row.names)), tuple(json.loads(row.units)))
+                for row in connection.execute(select(LAYOUTS))
+            }
+            rows = connection.execution_options(yield_per=_PART).execute(query)
+            for row in rows.mappings():
+                yield _entry(row, *layouts[row["layout"]])
+
+    def count(self) -> int:
+        """Return how many calibrations there are."""
+        from sqlalchemy import func, select
+
+        with self._engine.connect() as connection:
+            return connection.scalar(select(func.count()).select_from(CALIBRATIONS)) or 0
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._engine.dispose()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def _writing(self) -> Generator["Connection"]:
+        from sqlalchemy.exc import DBAPIError
+
+        try:
+            with self._engine.execution_options(writes=True).begin() as connection:
+                yield connection
+        except DBAPIError as error:
+            raise OutputError(f"{self._engine.url}: the library cannot be written ({error.orig}).") from error
+
+
+def _insert(connection: "Connection", entry: LibraryEntry) -> bool:
+    """Insert a calibration where it is not there yet, within the transaction of a writer."""
+    from sqlalchemy import select
+
+    key = entry.key
+    if connection.scalar(select(CALIBRATIONS.c.id).where(CALIBRATIONS.c.key == key)) is not None:
+        return False
+    named = json.dumps([entry.names, entry.units])
+    digest = hashlib.sha256(named.encode()).hexdigest()
+    layout = connection.scalar(select(LAYOUTS.c.id).where(LAYOUTS.c.digest == digest))
+    if layout is None:
+        new = LAYOUTS.insert().values(digest=digest, names=json.dumps(entry.names), units=json.dumps(entry.units))
+        (layout,) = connection.execute(new).inserted_primary_key or (None,)
+    row = {name: getattr(entry, name) for name in _PLAIN} | {
+        "key": key,
+        "layout": layout,
+        "temperature_c": entry.temperature_c if np.isfinite(entry.temperature_c) else None,
+        "inputs": json.dumps(entry.inputs),
+        "findings": json.dumps(entry.findings),
+        "values": entry.values.tobytes(),
+        "sigmas": entry.sigmas.tobytes(),
+    }
+    (number,) = connection.execute(CALIBRATIONS.insert().values(row)).inserted_primary_key or (None,)
+    lower = entry.covariance[np.tril_indices(len(entry.covered))].tobytes()
+    packed = np.array([len(entry.covered), *entry.covered], dtype="<i4").tobytes() + lower
+    connection.execute(DETAILS.insert().values(calibration=number, covariance=packed, needs=json.dumps(entry.needs)))
+    return True
+
+
+_PLAIN = (
+    "serial", "measured", "station", "operator", "kind", "verdict", "use", "version", "folder", "gravity",
+)  # fmt: skip
+
+
+def _entry(row: Mapping[Any, Any], names: tuple[str, ...], units: tuple[str, ...]) -> LibraryEntry:
+    covered, covariance = _unpacked(row.get("covariance"))
+    return LibraryEntry(
+        **{name: row[name] for name in _PLAIN},
+        temperature_c=float("nan") if row["temperature_c"] is None else row["temperature_c"],
+        inputs=tuple((name, digest) for name, digest in json.loads(row["inputs"])),
+        findings=tuple(json.loads(row["findings"])),
+        needs=tuple((*need,) for need in json.loads(row.get("needs") or "[]")),
+        names=names,
+        units=units,
+        values=np.frombuffer(row["values"]),
+        sigmas=np.frombuffer(row["sigmas"]),
+        covariance=covariance,
+        covered=covered,
+    )
+
+
+def _unpacked(packed: bytes | None) -> tuple[tuple[int, ...], Floats]:
+    if packed is None:
+        return (), np.empty((0, 0))
+    count = int(np.frombuffer(packed, "<i4", 1)[0])
+    covered = tuple(np.frombuffer(packed, "<i4", count, 4).tolist())
+    matrix = np.zeros((count, count))
+    matrix[np.tril_indices(count)] = np.frombuffer(packed, "<f8", offset=4 + 4 * count)
+    return covered, matrix + np.tril(matrix, -1).T
+
+
+def _connected(place: str, *, create: bool) -> "Engine":
+    try:
+        from sqlalchemy import create_engine, event, make_url
+        from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+    except ImportError as error:
+        raise OptionError("a library needs SQLAlchemy. Run: pip install 'gnomon[fleet]'") from error
+    from pathlib import Path
+
+    if "://" not in place:
+        if not create and not Path(place).is_file():
+            raise OptionError(f"{place}: there is no such library. gnomon batch or gnomon library import makes one.")
+        if Path(place).is_file() and Path(place).read_bytes()[:16] not in (b"", b"SQLite format 3\0"):
+            raise FormatError(f"{place}: this file is no library of gnomon. Name another.")
+        place = f"sqlite:///{place}"
+    try:
+        url = make_url(place)
+        url = url.set(drivername="postgresql+psycopg") if url.drivername in ("postgresql", "postgres") else url
+        engine = create_engine(url)
+        if url.get_backend_name() == "sqlite":
+            event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin)
+        engine.connect().close()
+    except ImportError as error:
+        raise OptionError(f"{place}: its driver is missing ({error}). Run: pip install 'gnomon[fleet]'") from error
+    except (ArgumentError, SQLAlchemyError) as error:
+        reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        raise OptionError(f"--library {_without_password(place)}: it cannot be opened ({reason}).") from error
+    return engine
+
+
+def _without_password(place: str) -> str:
+    head, at, tail = place.rpartition("@")
+    return f"{head.partition('://')[0]}://...@{tail}" if at and "://" in head else place
+
+
+def _prepare_sqlite(connection: Any, _record: object) -> None:
+    """Leave transactions to SQLAlchemy; readers do not wait for a writer, and a writer waits for another one."""
+    connection.isolation_level = None
+    connection.execute(f"PRAGMA busy_timeout = {int(1000 * _WAIT_S)}")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+def _begin(connection: "Connection") -> None:
+    """Begin a transaction; who writes waits until no other one does, since it looks before it adds."""
+    writes = connection.get_execution_options().get("writes", False)
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+    elif writes and connection.dialect.name == "postgresql":
+        connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_LOCK})")

@@ -1,0 +1,124 @@
+"""What the report of a sensor over its temperature says: the page of page.py, filled from a TemperatureResult."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .._version import __version__
+from ..output import write_whole
+from ..results.temperature import TemperatureResult, TriadOverTemperature
+from .drawing.figures import AXES, Sheet, set_y_limits
+from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
+from .sections import provenance_section
+
+_HEADLINES = {
+    "pass": "The temperature's effect is known.",
+    "warn": "The temperature's effect is known, with the reservations below.",
+    "fail": "The temperature's effect is not known.",
+}
+_UNITS = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s²")}
+
+
+def write_temperature_report(result: TemperatureResult, path: str | Path) -> None:
+    """Write the report of a sensor over its temperature as one HTML file that needs neither network nor other files.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    write_whole(path, render_page(temperature_page(result)))
+
+
+def temperature_page(result: TemperatureResult) -> ReportPage:
+    """Return the page of a sensor over its temperature."""
+    calibration = result.calibration
+    found = next(iter(calibration.imus.values())).temperature
+    assert found is not None
+    lag = f"{result.lag_s:.0f} ± {result.lag_sigma_s:.0f} s" if result.lag_s else "none found"
+    figures = [_figure(name, triad, found.reference_degc) for name, triad in result.triads.items()]
+    return ReportPage(
+        title="An IMU over its temperature",
+        subject=", ".join(result.names),
+        verdict=calibration.verdict,
+        headline=_HEADLINES[calibration.verdict],
+        key_numbers=(
+            KeyNumber("Range", f"{found.low_degc:.1f} to {found.high_degc:.1f} °C"),
+            KeyNumber("Reference", f"{found.reference_degc:.1f} °C", "sensitivities and biases hold here"),
+            KeyNumber("Lag of the thermometer", lag),
+        ),
+        findings=tuple(typeset_finding(finding) for finding in calibration.assessment.findings),
+        front=tuple(figures),
+        sections=(
+            Section("numbers", "Numbers", blocks=[_coefficients(result), _scatter(result)]),
+            Section("method", "How this was found", blocks=[_method()]),
+            provenance_section(calibration.provenance),
+        ),
+        footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
+    )
+
+
+def _figure(name: str, triad: TriadOverTemperature, reference_degc: float) -> Figure:
+    factor, unit = _UNITS[name]
+    sheet = Sheet()
+    panel = sheet.panel(f"Change of the bias [{unit}]", top=36, height=260, x_label="temperature [°C]")
+    for axis, color in zip(triad.axes, AXES, strict=True):
+        low, high = axis.change - 2 * axis.sigma, axis.change + 2 * axis.sigma
+        panel.band(axis.at_degc, factor * low, factor * high, color, alpha=0.2)
+        panel.dots(axis.degc, factor * axis.values, color, 3)
+        panel.line(axis.at_degc, factor * axis.change, color, width=1.8)
+    panel.upright(reference_degc, "accent", width=1.2, dash=(5.0, 3.0))
+    ends = np.concatenate([axis.at_degc[[0, -1]] for axis in triad.axes])
+    panel.x.span(float(ends.min()), float(ends.max()))
+    set_y_limits(panel, *(factor * np.concatenate([axis.values, axis.change]) for axis in triad.axes))
+    alt = (
+        f"Change of the {name}'s bias over the temperature: means of some seconds, polynomials of order {triad.order}."
+    )
+    legend = [Legend("line", axis, axis) for axis in AXES]
+    legend += [Legend("dot", "ink", "means of some seconds"), Legend("band", "before", "±2 σ")]
+    legend.append(Legend("dash", "accent", "reference"))
+    return Figure(f"{name.capitalize()} over the temperature", sheet.draw(f"temperature-{name}", 356, alt), legend)
+
+
+def _coefficients(result: TemperatureResult) -> ReportTable:
+    calibration = result.calibration
+    name, sensor = next(iter(calibration.imus.items()))
+    assert sensor.temperature is not None
+    rows: list[tuple[str, ...]] = []
+    for part, coefficients in sensor.temperature.parts():
+        path = f"{name}.temperature.{part}"
+        for j, (row, sigma) in enumerate(zip(coefficients, calibration.sigma(path), strict=True), 1):
+            cells = (f"{value:.4g} ± {one:.2g}" for value, one in zip(row, sigma, strict=True))
+            rows.append((f"{part.replace('_', ', ')}, (T - T_ref)^{j}", *cells))
+    return ReportTable(
+        "Coefficients",
+        ("", "x", "y", "z"),
+        rows,
+        "In the unit of the recording, per K to that power; ± one standard deviation.",
+    )
+
+
+def _scatter(result: TemperatureResult) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    for name, triad in result.triads.items():
+        factor, unit = _UNITS[name]
+        for label, values in (
+            ("from one switching-on to the next", triad.turn_on),
+            ("rising against falling", triad.branches),
+            ("recordings against the others, worst [σ]", np.max(triad.left_out_z, axis=0) / factor),
+        ):
+            cells = ("not told" if np.isnan(value) else f"{factor * value:.3g}" for value in values.tolist())
+            rows.append((f"{name}: {label}" + ("" if "σ" in label else f" [{unit}]"), *cells))
+    return ReportTable("What the temperature does not explain", ("", "x", "y", "z"), rows)
+
+
+def _method() -> Prose:
+    return Prose(
+        (
+            "Bias = its value at the reference + polynomial of T - T_ref + what this switching-on adds + a random walk "
+            "+ white noise. The variances are those of largest restricted likelihood (Patterson and Thompson, 1971), "
+            "and the polynomials follow by generalised least squares. The thermometer's steps are smoothed away, and "
+            "its lag is found along with the biases.",
+            "Beyond the range nothing is known; polynomials run away there.",
+        )
+    )

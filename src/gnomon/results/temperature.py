@@ -1,0 +1,74 @@
+"""How an IMU changes with its temperature, and how that was found."""
+
+from ..frozen import value_class
+from ..recording import Floats
+from .calibration import Calibration
+
+
+@value_class
+class AxisOverTemperature:
+    """One axis over the temperature.
+
+    Attributes
+    ----------
+    degc : (n,) temperature of each bin [degC]
+    values : (n,) its mean, the bias of its switching-on taken off [SI]
+    warm_up : (n,) number of its recording
+    at_degc : (k,) evenly over the range [degC]
+    change, sigma : (k,) of the bias from that at the reference, and its standard deviation [SI]
+    """
+
+    degc: Floats
+    values: Floats
+    warm_up: Floats
+    at_degc: Floats
+    change: Floats
+    sigma: Floats
+
+
+@value_class
+class TriadOverTemperature:
+    """One triad over the temperature.
+
+    Attributes
+    ----------
+    order : of its polynomials; 0 where it does not change
+    axes : x, y, z
+    turn_on : (3,) standard deviation of the bias from one switching-on to the next [SI]; nan of a single recording
+    walk : (3,) random walk beside the temperature [SI/sqrt(s)]
+    branches : (3,) by how much more it reads while the temperature rises than while it falls [SI]; nan where only one
+        was seen
+    branches_sigma : (3,)
+    left_out_z : (w, 3) how far each recording lies off what the others foretell, in sigmas; nan of a single one
+    """
+
+    order: int
+    axes: tuple[AxisOverTemperature, ...]
+    turn_on: Floats
+    walk: Floats
+    branches: Floats
+    branches_sigma: Floats
+    left_out_z: Floats
+
+
+@value_class
+class TemperatureResult:
+    """A calibration that knows the temperature, and how it came about.
+
+    Attributes
+    ----------
+    calibration : with the temperature dependence of its IMU
+    triads : "gyroscope" and "accelerometer", as recorded
+    lag_s, lag_sigma_s : of the thermometer
+    step_k : of its readings [K]
+    names : of the recordings
+    nominal : whether sensitivities and biases are those of an ideal sensor, as no calibration was given
+    """
+
+    calibration: Calibration
+    triads: dict[str, TriadOverTemperature]
+    lag_s: float
+    lag_sigma_s: float
+    step_k: float
+    names: tuple[str, ...]
+    nominal: bool

@@ -1,0 +1,125 @@
+"""`gnomon temperature` from recordings to a corrected recording, and what it refuses."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.simulate import Scenario, simulate
+from gnomon.simulate.scenarios import TemperatureScenario
+from gnomon.simulate.temperature import simulate_temperature
+from gnomon.writers.recording_file import save_recording
+
+SCENARIO = TemperatureScenario(recordings=3, rate_hz=10.0, duration_s=900.0, order=1, step_k=0.1)
+
+
+@pytest.fixture(scope="module")
+def warm_ups(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("warm-ups")
+    made = simulate_temperature(SCENARIO, 11)
+    paths = [folder / f"{i}.npz" for i in range(3)]
+    for path, recording in zip(paths, made.recordings, strict=True):
+        save_recording(recording, path)
+    return made, paths
+
+
+@pytest.mark.long
+def test_the_command_finds_it_and_apply_takes_it_off(warm_ups, run, tmp_path):
+    made, paths = warm_ups
+    code, out, err = run("temperature", *paths[:2], "-o", tmp_path / "found", "--json")
+    assert code == 0, err
+    document = json.loads(out)
+    assert document["orders"] == {"gyroscope": 1, "accelerometer": 1}
+    assert (tmp_path / "found" / "report.html").is_file()
+    found = tmp_path / "found" / "calibration.yaml"
+    corrected = tmp_path / "corrected.csv"
+    code, _, err = run("apply", found, paths[2], "-o", corrected)
+    assert code == 0, err
+    rate = np.loadtxt(corrected, delimiter=",", skiprows=1)[:, 1:4]
+    raw = made.recordings[2].imus["imu0"].gyroscope.values
+    drift = [np.ptp([part.mean(axis=0) for part in np.array_split(one, 10)], axis=0).max() for one in (raw, rate)]
+    assert drift[1] < drift[0] / 4
+    assert run("show", found)[1].count("gyroscope_bias1_") == 3
+
+
+@pytest.mark.long
+def test_apply_needs_a_temperature_and_tells_of_its_range(warm_ups, run, tmp_path):
+    made, _ = warm_ups
+    result = gnomon.calibrate_temperature(made.recordings[:2])
+    found = tmp_path / "calibration.yaml"
+    gnomon.save(result.calibration, found)
+    imu = made.recordings[2].imus["imu0"]
+    bare = tmp_path / "bare.npz"
+    save_recording(gnomon.Recording(imus={"imu0": replace(imu, temperature=None)}), bare)
+    code, _, err = run("apply", found, bare, "-o", tmp_path / "x.csv")
+    assert code == 3
+    assert "temperature" in err
+    assert run("apply", found, bare, "-o", tmp_path / "x.csv", "--temperature-c", "20")[0] == 0
+    code, out, err = run("apply", found, bare, "-o", tmp_path / "x.csv", "--temperature-c", "90")
+    assert code == 0
+    assert "beyond the range" in out + err
+    assert run("apply", found, bare, "-o", tmp_path / "y.csv", "--temperature-c", "90", "--strict")[0] == 3
+    assert not (tmp_path / "y.csv").exists()
+
+
+@pytest.mark.long
+def test_it_is_added_to_a_calibration_that_says_at_which_temperature_it_holds(warm_ups):
+    made, _ = warm_ups
+    base = simulate(Scenario(intervals=12, t_init_s=6.0), 1)[1]
+    with pytest.raises(gnomon.OptionError, match="--reference-degc"):
+        gnomon.calibrate_temperature(made.recordings, base)
+    result = gnomon.calibrate_temperature(made.recordings, base, reference_degc=30.0)
+    assert result.calibration.imus["imu0"].temperature.reference_degc == 30.0
+    assert np.array_equal(result.calibration.parameter("imu0.gyroscope.bias"), base.parameter("imu0.gyroscope.bias"))
+    assert not result.nominal
+
+
+def test_what_was_wrong_with_the_calibration_stays_said(warm_ups):
+    made, _ = warm_ups
+    base = simulate(Scenario(intervals=12, t_init_s=6.0), 1)[1]
+    wrong = gnomon.Finding(severity="problem", code="holdout", message="It does not fit.")
+    base = replace(base, assessment=replace(base.assessment, verdict="fail", findings=(wrong,)))
+    result = gnomon.calibrate_temperature(made.recordings[:1], base, reference_degc=30.0)
+    assert result.calibration.verdict == "fail"
+    assert wrong in result.calibration.assessment.findings
+
+
+def turned(recording):
+    imu = recording.imus["imu0"]
+    values = imu.accelerometer.values.copy()
+    values[len(values) // 2 :] = values[len(values) // 2 :, [2, 0, 1]]
+    return gnomon.Recording(imus={"imu0": replace(imu, accelerometer=replace(imu.accelerometer, values=values))})
+
+
+def without_thermometer(recording):
+    return gnomon.Recording(imus={"imu0": replace(recording.imus["imu0"], temperature=None)})
+
+
+def in_counts(recording):
+    imu = recording.imus["imu0"]
+    return gnomon.Recording(imus={"imu0": replace(imu, temperature=replace(imu.temperature, unit="count"))})
+
+
+@pytest.mark.parametrize(
+    ("change", "says"), [(turned, "turned by"), (without_thermometer, "temperature"), (in_counts, "temperature")]
+)
+def test_what_tells_nothing_is_refused(warm_ups, change, says):
+    made, _ = warm_ups
+    with pytest.raises(gnomon.RecordingError, match=says):
+        gnomon.calibrate_temperature([change(made.recordings[0])])
+
+
+def test_the_same_recording_twice_is_refused(warm_ups):
+    made, _ = warm_ups
+    with pytest.raises(gnomon.GnomonError):
+        gnomon.calibrate_temperature([made.recordings[0], made.recordings[0]])
+
+
+def test_simulated_warm_ups_are_read_by_the_command_that_they_propose(run, tmp_path):
+    options = ("--recordings", "1", "--duration-s", "300", "--json")
+    code, out, err = run("simulate", "temperature", "-o", tmp_path / "w", *options)
+    assert code == 0, err
+    files = json.loads(out)["recordings"]
+    assert run("temperature", *files, "--no-report")[0] == 0

@@ -1,0 +1,73 @@
+"""Cameras and an IMU calibrated in a rendered room, without a board; and rooms in which that is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.calibrate.steps.landmark_map import map_landmarks
+from gnomon.errors import DetectionError, InitialisationError, RecordingError
+from gnomon.formats.kalibr.camchain import CameraInput
+from gnomon.recording import Recording
+from gnomon.simulate import RoomScenario, simulate_camera_imu
+from gnomon.simulate.images.room_images import room_images
+
+SMALL = RoomScenario(
+    duration_s=12.0, resolution=(400, 300), intrinsics=(290.0, 289.0, 201.4, 148.1), camera_rate_hz=15.0, exposure_s=0.0
+)
+
+
+def mapped(scenario, seed=5):
+    """Return what is true, and landmarks and frames of a rendered recording."""
+    simulation = simulate_camera_imu(scenario.rig(), seed)
+    images = room_images(scenario, simulation)
+    stream, samples = images.streams["cam0"], images.imus["imu0"]
+    pictures = list(stream.frames([]))
+    decoded = [frame.decode() for frame in pictures]  # once: they are asked for four times
+    kept = [replace(frame, decode=lambda image=image: image) for frame, image in zip(pictures, decoded, strict=True)]
+    stream = replace(stream, frames=lambda _: iter(kept))
+    frames, target, findings = map_landmarks("cam0", stream, CameraInput(camera=stream.camera), samples, lambda _: None)
+    return simulation, Recording(imus={"imu0": samples}, cameras={"cam0": frames}, findings=findings), target
+
+
+@pytest.mark.long
+def test_a_room_calibrates_as_a_board_does():
+    simulation, recording, target = mapped(SMALL)
+    assert target.kind == "landmarks"
+    assert not recording.findings
+    result = gnomon.calibrate_camera_imu(recording, target)
+    calibration, truth = result.calibration, simulation.truth.cameras["cam0"]
+    assert calibration.verdict != "fail"
+    found = calibration.cameras["cam0"]
+    sigma = dict(zip(calibration.uncertainty.names, np.sqrt(np.diag(calibration.uncertainty.matrix)), strict=True))
+    for axis in range(3):
+        own = sigma[f"cam0.T_cam_imu.translation[{axis}]"]
+        assert own < 2e-3
+        assert abs(found.T_cam_imu[axis, 3] - truth.T_cam_imu[axis, 3]) < 4 * own
+    shift = abs(found.time_shift_cam_imu - truth.time_shift_cam_imu)
+    assert shift < 4 * sigma["cam0.time_shift_cam_imu"] < 4e-4
+    assert "scene-size" in {finding.code for finding in calibration.assessment.findings}
+
+
+def test_a_rig_at_rest_is_refused():
+    with pytest.raises(DetectionError, match="hardly anything moves"):
+        mapped(replace(SMALL, motion="static", duration_s=2.0))
+
+
+def test_painted_walls_are_refused():
+    with pytest.raises(DetectionError, match="can be followed"):
+        mapped(replace(SMALL, surface="plain", furniture=0, duration_s=1.0))
+
+
+def test_a_rig_that_never_turned_is_refused():
+    with pytest.raises(InitialisationError, match="do not show the same rotation"):
+        mapped(replace(SMALL, motion="translation", duration_s=4.0))
+
+
+def test_images_of_another_size_are_refused():
+    simulation = simulate_camera_imu(SMALL.rig(), 5)
+    images = room_images(SMALL, simulation)
+    lens = replace(images.streams["cam0"].camera, resolution=(640, 480))
+    with pytest.raises(RecordingError, match="400 x 300"):
+        map_landmarks("cam0", images.streams["cam0"], CameraInput(camera=lens), images.imus["imu0"], lambda _: None)

@@ -1,0 +1,71 @@
+"""Polynomials of the temperature against simulated warm-ups whose truth is known."""
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.simulate.scenarios import TemperatureScenario
+from gnomon.simulate.temperature import simulate_temperature
+
+
+def errors_in_sigmas(result, truth, at_degc):
+    """Return how far the change between temperatures of each axis lies off the truth, in sigmas."""
+    calibration = result.calibration
+    found = calibration.imus["imu0"].temperature
+    z = []
+    for triad in ("gyroscope", "accelerometer"):
+        part = f"{triad}_bias"
+        if getattr(found, part) is None:
+            continue
+        order = len(getattr(found, part))
+        off = found.change(part, at_degc) - truth.change(part, at_degc)
+        off += truth.change(part, np.array([found.reference_degc]))
+        powers = np.vander(at_degc - found.reference_degc, order + 1, increasing=True)[:, 1:]
+        covariance = calibration.covariance(f"imu0.temperature.{part}")
+        for axis in range(3):
+            mine = covariance[axis::3, axis::3]
+            z.append(off[:, axis] / np.sqrt(np.einsum("ij,jk,ik->i", powers, mine, powers)))
+    return np.array(z)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("order", "lag_s", "step_k", "seed"), [(1, 0.0, 0.1, 1), (2, 20.0, 0.1, 2), (3, 0.0, 0.5, 3), (2, 40.0, 0.01, 4)]
+)
+def test_order_lag_and_polynomials_are_found_within_their_sigmas(order, lag_s, step_k, seed):
+    scenario = TemperatureScenario(recordings=3, order=order, lag_s=lag_s, step_k=step_k, rate_hz=20.0)
+    made = simulate_temperature(scenario, seed)
+    result = gnomon.calibrate_temperature(made.recordings)
+    assert {triad.order for triad in result.triads.values()} == {order}
+    assert abs(result.lag_s - lag_s) < 4 * max(result.lag_sigma_s, 1.0)
+    z = errors_in_sigmas(result, made.truth, np.array([5.0, 35.0]))
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    assert np.abs(z).max() < 4.5
+    assert result.calibration.verdict == "pass"
+
+
+def test_where_nothing_changes_nothing_is_found():
+    made = simulate_temperature(TemperatureScenario(recordings=2, order=0, rate_hz=10.0, duration_s=600.0), 5)
+    result = gnomon.calibrate_temperature(made.recordings)
+    assert {triad.order for triad in result.triads.values()} == {0}
+    assert result.lag_s == 0.0
+    assert not dict(result.calibration.imus["imu0"].temperature.parts())
+
+
+def test_a_narrow_range_is_told_and_taken_for_nothing():
+    scenario = TemperatureScenario(recordings=1, start_degc=24.5, end_degc=25.0, rate_hz=10.0, duration_s=600.0)
+    result = gnomon.calibrate_temperature(simulate_temperature(scenario, 7).recordings)
+    codes = {finding.code for finding in result.calibration.assessment.findings}
+    assert {"temperature-range", "turn-on-unknown", "sensor-nominal"} <= codes
+    assert result.calibration.verdict == "warn"
+
+
+@pytest.mark.long
+def test_rising_and_falling_that_differ_are_named():
+    scenario = TemperatureScenario(recordings=2, back=True, rate_hz=20.0, order=1, branches=4e-3, duration_s=1800.0)
+    made = simulate_temperature(scenario, 8)
+    result = gnomon.calibrate_temperature(made.recordings)
+    assert "temperature-branches" in {finding.code for finding in result.calibration.assessment.findings}
+    plain = TemperatureScenario(recordings=2, back=True, rate_hz=20.0, order=1, duration_s=1800.0)
+    healthy = gnomon.calibrate_temperature(simulate_temperature(plain, 8).recordings)
+    assert "temperature-branches" not in {finding.code for finding in healthy.calibration.assessment.findings}
