@@ -8,8 +8,8 @@ import pytest
 
 import gnomon
 from gnomon.simulate import Scenario, simulate
-from gnomon.simulate.scenarios import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
+from gnomon.simulate.temperature_scenario import TemperatureScenario
 from gnomon.writers.recording_file import save_recording
 
 SCENARIO = TemperatureScenario(recordings=3, rate_hz=10.0, duration_s=900.0, order=1, step_k=0.1)
@@ -84,6 +84,21 @@ def test_what_was_wrong_with_the_calibration_stays_said(warm_ups):
     result = gnomon.calibrate_temperature(made.recordings[:1], base, reference_degc=30.0)
     assert result.calibration.verdict == "fail"
     assert wrong in result.calibration.assessment.findings
+
+
+@pytest.mark.long
+def test_a_calibration_that_came_of_it_is_a_calibration_as_any(warm_ups):
+    made, _ = warm_ups
+    first = gnomon.calibrate_temperature(made.recordings[:1], reference_degc=30.0)
+    assert first.nominal
+    sensor = first.calibration.imus["imu0"]
+    bias = np.array([0.1, -0.2, 0.3])
+    known = replace(sensor, gyroscope=replace(sensor.gyroscope, bias=bias), temperature=None)
+    again = gnomon.calibrate_temperature(
+        made.recordings[1:2], replace(first.calibration, imus={"imu0": known}), reference_degc=30.0
+    )
+    assert not again.nominal
+    assert np.array_equal(again.calibration.imus["imu0"].gyroscope.bias, bias)
 
 
 def turned(recording):

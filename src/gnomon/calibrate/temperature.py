@@ -3,14 +3,15 @@
 warm-ups -> bins -> the thermometer's lag -> order by evidence -> polynomials -> assess -> calibration that knows them
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from .._version import __version__
 from ..assess.checks.temperature_checks import check_temperature
-from ..assess.imu.temperature_verdict import TemperatureEvidence, temperature_findings
+from ..assess.imu.temperature_verdict import temperature_findings
 from ..assess.verdict import SEVERITIES, verdict_of
 from ..errors import OptionError, RecordingError
 from ..estimate.temperature.bias_drift import (
@@ -28,7 +29,7 @@ from ..estimate.temperature.bias_drift import (
 from ..findings import Finding
 from ..frozen import value_class
 from ..progress import Progress
-from ..recording import Floats, ImuSamples, Recording
+from ..recording import Floats, ImuSamples, Recording, Source
 from ..results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
@@ -95,52 +96,46 @@ def calibrate_temperature(
     base, nominal = _base(calibration, samples[0], names[0])
     bins = [average_at_rest(name, one) for name, one in zip(names, samples, strict=True)]
     recorded = RestRecordings(samples=samples, bins=bins)
-    now = recorded.warm_ups(0.0)
-    low, high = (float(pick([pick(one.degc) for one in now])) for pick in (min, max))
-    reference = _reference(reference_degc, calibration, (low, high))
-    most = _supported(high - low, max(one.step_k for one in now))
     tell("finding the thermometer's lag")
-    fit = _fit(recorded, reference, most, tell)
-    found = _dependence(fit, base, (low, high))
+    fit = _fit(recorded, reference_degc, calibration, tell)
     tell("assessing the result")
-    triads = {name: _describe(fit, name, base, (low, high)) for name in fit.axes}
-    evidence = TemperatureEvidence(
-        triads=triads,
-        low_degc=low,
-        high_degc=high,
-        most=most,
-        step_k=max(one.step_k for one in now),
+    result = TemperatureResult(
+        calibration=_with_temperature(base, fit, nominal=nominal),
+        triads={name: _describe(fit, name, base) for name in fit.axes},
         lag_s=fit.lag_s,
         lag_sigma_s=fit.lag_sigma_s,
-        recordings=len(recordings),
-        nominal=nominal,
+        step_k=fit.step_k,
+        low_degc=fit.span[0],
+        high_degc=fit.span[1],
+        supported_order=fit.most,
         stirred=float(np.mean([one.stirred for one in bins])),
+        names=tuple(names),
+        nominal=nominal,
     )
     thermometers = [finding for name, one in zip(names, samples, strict=True) for finding in _thermometer(name, one)]
-    findings = (*temperature_findings(evidence, thermometers), *base.assessment.findings)
+    findings = (*temperature_findings(result, thermometers), *base.assessment.findings)
+    stated = {} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"}
+    return _assessed(result, findings, [source for one in recordings for source in one.sources], stated)
+
+
+def _assessed(
+    result: TemperatureResult, findings: Sequence[Finding], sources: Sequence[Source], stated: Mapping[str, str]
+) -> TemperatureResult:
+    """Return the result with what there is to say of it, and where it came from."""
     findings = tuple(sorted(findings, key=lambda finding: SEVERITIES[finding.severity]))
-    result = _with_temperature(base, found, fit)
-    return TemperatureResult(
+    known = result.calibration
+    return replace(
+        result,
         calibration=replace(
-            result,
-            assessment=replace(result.assessment, findings=findings, verdict=verdict_of(findings)),
+            known,
+            assessment=replace(known.assessment, findings=findings, verdict=verdict_of(findings)),
             provenance=Provenance(
                 gnomon_version=__version__,
                 method="temperature",
-                inputs=tuple(source for one in recordings for source in one.sources)
-                + (() if calibration is None else calibration.provenance.inputs),
-                options={
-                    **result.provenance.options,
-                    **({} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"}),
-                },
+                inputs=(*sources, *known.provenance.inputs),
+                options={**known.provenance.options, **stated},
             ),
         ),
-        triads=triads,
-        lag_s=fit.lag_s,
-        lag_sigma_s=fit.lag_sigma_s,
-        step_k=evidence.step_k,
-        names=tuple(names),
-        nominal=nominal,
     )
 
 
@@ -155,6 +150,14 @@ class _Fit:
     drifts: Sequence[AxisDrift]
     lag_s: float
     lag_sigma_s: float
+    step_k: float
+    most: int
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Range of the temperatures, the lag of the thermometer undone [degC]."""
+        ends = [pick(one.degc) for one in self.problem.warm_ups for pick in (np.min, np.max)]
+        return float(min(ends)), float(max(ends))
 
 
 def _base(calibration: Calibration | None, imu: ImuSamples, name: str) -> tuple[Calibration, bool]:
@@ -237,15 +240,23 @@ def _supported(range_k: float, step_k: float) -> int:
     return sum(range_k >= max(least, _STEPS * order * step_k) for order, least in enumerate(_ORDER_FROM_K, 1))
 
 
-def _fit(recorded: RestRecordings, reference_degc: float, most: int, tell: Progress) -> _Fit:
+def _fit(
+    recorded: RestRecordings, reference_degc: float | None, calibration: Calibration | None, tell: Progress
+) -> _Fit:
     triads = recorded.bins[0].triads
     if any(one.triads != triads for one in recorded.bins):
         raise RecordingError("the recordings hold different sensors. Give those of one IMU alone.")
     axes = {triad: range(3 * i, 3 * i + 3) for i, triad in enumerate(triads)}
     every = [axis for part in axes.values() for axis in part]
+    as_read = recorded.warm_ups(0.0)
+    low, high = (float(pick([pick(one.degc) for one in as_read])) for pick in (min, max))
+    reference = _reference(reference_degc, calibration, (low, high))
+    step = max(one.step_k for one in as_read)
+    most = _supported(high - low, step)
 
+    @cache
     def at_lag(lag_s: float) -> DriftProblem:
-        return DriftProblem(warm_ups=recorded.warm_ups(lag_s), reference_degc=reference_degc)
+        return DriftProblem(warm_ups=recorded.warm_ups(lag_s), reference_degc=reference)
 
     lag, sigma, gain = fit_lag(at_lag, every) if most else (0.0, 0.0, 0.0)
     if gain < _LAG_GAIN or not np.isfinite(sigma):
@@ -259,32 +270,34 @@ def _fit(recorded: RestRecordings, reference_degc: float, most: int, tell: Progr
     drifts = [fit_drift(problem, axis, orders[triad], variances[axis]) for triad, part in axes.items() for axis in part]
     return _Fit(
         problem=problem, axes=dict(axes), orders=orders, variances=variances, drifts=drifts, lag_s=lag,
-        lag_sigma_s=sigma,
+        lag_sigma_s=sigma, step_k=step, most=most,
     )  # fmt: skip
 
 
-def _dependence(fit: _Fit, base: Calibration, span: tuple[float, float]) -> TemperatureDependence:
+def _dependence(fit: _Fit, base: Calibration) -> TemperatureDependence:
     sensor = next(iter(base.imus.values()))
     biases = {
         f"{triad}_bias": np.column_stack([fit.drifts[axis].coefficients[1:] for axis in part])
         for triad, part in fit.axes.items()
         if fit.orders[triad] and getattr(sensor, triad) is not None
     }
-    beyond = _BEYOND * (span[1] - span[0])
+    low, high = fit.span
+    beyond = _BEYOND * (high - low)
     return TemperatureDependence(
         reference_degc=fit.problem.reference_degc,
-        low_degc=span[0] - beyond,
-        high_degc=span[1] + beyond,
+        low_degc=low - beyond,
+        high_degc=high + beyond,
         lag_s=fit.lag_s,
         **biases,
     )
 
 
-def _with_temperature(base: Calibration, found: TemperatureDependence, fit: _Fit) -> Calibration:
+def _with_temperature(base: Calibration, fit: _Fit, *, nominal: bool) -> Calibration:
     """Return the calibration with the dependence, and the covariance of both; a bias that was ideal is found, too."""
+    found = _dependence(fit, base)
     name, sensor = next(iter(base.imus.items()))
     known = {scalar: i for i, scalar in enumerate(base.uncertainty.names) if ".temperature." not in scalar}
-    if base.assessment.model == "temperature" and sensor.gyroscope is not None:
+    if nominal and sensor.gyroscope is not None:
         bias = np.array([fit.drifts[axis].coefficients[0] for axis in fit.axes["gyroscope"]])
         sensor = replace(sensor, gyroscope=replace(sensor.gyroscope, bias=bias))
     imus = {name: replace(sensor, temperature=found)}
@@ -298,14 +311,14 @@ def _with_temperature(base: Calibration, found: TemperatureDependence, fit: _Fit
         for k, axis in enumerate(fit.axes[triad]):
             places = [at[f"{name}.temperature.{part}[{j},{k}]"] for j in range(fit.orders[triad])]
             matrix[np.ix_(places, places)] = fit.drifts[axis].covariance[1:, 1:]
-    if base.assessment.model == "temperature" and sensor.gyroscope is not None:
+    if nominal and sensor.gyroscope is not None:
         for k, axis in enumerate(fit.axes["gyroscope"]):
             place = at[f"{name}.gyroscope.bias[{k}]"]
             matrix[place, place] = fit.drifts[axis].covariance[0, 0] + fit.variances[axis].turn_on
     return replace(base, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
 
 
-def _describe(fit: _Fit, triad: str, base: Calibration, span: tuple[float, float]) -> TriadOverTemperature:
+def _describe(fit: _Fit, triad: str, base: Calibration) -> TriadOverTemperature:
     """Return a triad over the temperature in SI units."""
     sensor = getattr(next(iter(base.imus.values())), triad)
     per_si = 1.0 if sensor is None else float(np.cbrt(abs(np.linalg.det(sensor.sensitivity))))
@@ -317,7 +330,7 @@ def _describe(fit: _Fit, triad: str, base: Calibration, span: tuple[float, float
     z = [left_out_deviations(fit.problem, axis, order, one) for axis, one in pairs] if several else []
     return TriadOverTemperature(
         order=order,
-        axes=tuple(_curve(fit, axis, span, per_si) for axis in part),
+        axes=tuple(_curve(fit, axis, per_si) for axis in part),
         turn_on=np.array([np.sqrt(one.turn_on) / per_si if several else np.nan for one in chosen]),
         walk=np.array([np.sqrt(one.walk) / per_si for one in chosen]),
         branches=np.array([np.nan if one is None else one[0] / per_si for one in branches]),
@@ -326,9 +339,9 @@ def _describe(fit: _Fit, triad: str, base: Calibration, span: tuple[float, float
     )
 
 
-def _curve(fit: _Fit, axis: int, span: tuple[float, float], per_si: float) -> AxisOverTemperature:
+def _curve(fit: _Fit, axis: int, per_si: float) -> AxisOverTemperature:
     drift = fit.drifts[axis]
-    at = np.linspace(*span, _CURVE)
+    at = np.linspace(*fit.span, _CURVE)
 
     def powers(degc: Floats) -> Floats:
         return np.vander(degc - fit.problem.reference_degc, len(drift.coefficients), increasing=True)[:, 1:]

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
+from .arrays import smallest_steps
 from .samples import Floats, Integers, TemperatureSamples, frozen_array
 
 Booleans = NDArray[np.bool_]
@@ -43,7 +44,7 @@ class TemperatureCourse:
 
 
 def temperature_course(samples: TemperatureSamples, lag_s: float = 0.0) -> TemperatureCourse | None:
-    """Return the course of the temperature; None for counts, and for fewer than two readings.
+    """Return the course of the temperature; None for counts, and for fewer than two readings that are numbers.
 
     Where a reading changes, the temperature is between both values: that tells it far better than a thermometer's
     steps, and is its mean where noise makes the readings dance. The course is the smooth one through these points
@@ -54,15 +55,15 @@ def temperature_course(samples: TemperatureSamples, lag_s: float = 0.0) -> Tempe
     ----------
     lag_s : by which the thermometer follows the sensor: it reads x with lag_s dx/dt = T - x [s]
     """
-    celsius = samples.celsius()
-    if celsius is None or len(samples) < 2 or samples.t_ns[-1] <= samples.t_ns[0]:
+    read = known_readings(samples)
+    if read is None:
         return None
-    origin = int(samples.t_ns[0])
-    seconds = np.asarray((samples.t_ns - origin) * 1e-9, dtype=np.float64)
-    bins = int(np.clip(min(seconds[-1] / _SHORTEST_S, len(samples)), 3, _BINS))
+    t_ns, celsius = read
+    origin = int(t_ns[0])
+    seconds = np.asarray((t_ns - origin) * 1e-9, dtype=np.float64)
+    bins = int(np.clip(min(seconds[-1] / _SHORTEST_S, len(seconds)), 3, _BINS))
     width = float(seconds[-1]) / bins
-    steps = np.diff(np.unique(np.round(celsius, 9)))
-    step = float(steps.min()) if len(steps) else float("nan")
+    step = float(smallest_steps(celsius[:, None])[0])
     change = np.flatnonzero(np.diff(celsius))
     middles = [np.asarray((one[change] + one[change + 1]) / 2, dtype=np.float64) for one in (seconds, celsius)]
     between = _binned(middles[0], middles[1], width)
@@ -86,9 +87,25 @@ def temperature_course(samples: TemperatureSamples, lag_s: float = 0.0) -> Tempe
     return TemperatureCourse(t_s=middle, degc=smooth, step_k=step, origin_ns=origin)
 
 
+def known_readings(samples: TemperatureSamples) -> tuple[Integers, Floats] | None:
+    """Return the timestamps (n,) [ns] and temperatures (n,) [degC] of the readings that are numbers.
+
+    None for counts, and for fewer than two readings at different times.
+    """
+    celsius = samples.celsius()
+    if celsius is None:
+        return None
+    known = np.isfinite(celsius)
+    t_ns, celsius = samples.t_ns[known], celsius[known]
+    return (t_ns, celsius) if len(t_ns) > 1 and t_ns[-1] > t_ns[0] else None
+
+
 @value_class
 class _Binned:
-    """Values in bins: the bins with any, and of each the mean time [s], mean and its sigma, a trend left out [degC]."""
+    """Values in bins: the bins with any, and of each the mean time [s], mean and its sigma [degC].
+
+    The sigmas are those of one noise in all bins, the trend in each left out: a bin of two points tells none.
+    """
 
     bin: Integers
     t_s: Floats
@@ -106,8 +123,9 @@ def _binned(t_s: Floats, values: Floats, width_s: float) -> _Binned:
     t, v = t_s - when[of], values - middle[of]
     spread = mean(t * t)
     trend = mean(t * v) / np.maximum(spread, 1e-12)
-    variance = np.maximum(mean(v * v) - trend**2 * spread, 0.0) / count
-    return _Binned(bin=bins, t_s=when, mean=middle, sigma=np.sqrt(variance))
+    squares = float(np.sum(count * np.maximum(mean(v * v) - trend**2 * spread, 0.0)))
+    variance = squares / max(int(np.maximum(count - 2, 0).sum()), 1)
+    return _Binned(bin=bins, t_s=when, mean=middle, sigma=np.sqrt(variance / count))
 
 
 def _graduated(place: Floats, value: Floats, sigma: Floats, exact: Booleans, *, n: int, lag: float) -> Floats:

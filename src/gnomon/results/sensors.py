@@ -22,8 +22,8 @@ from ..errors import FormatError, OptionError
 from ..frozen import value_class
 from ..models.camera import Camera
 from ..models.origin import Origin
-from ..recording import Floats, ImuSamples, Integers, TriadSamples, frozen_array
-from ..recording.thermometer import temperature_course
+from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array
+from ..recording.thermometer import TemperatureCourse, temperature_course
 
 
 @value_class
@@ -176,6 +176,11 @@ class TemperatureDependence:
             if (value := getattr(self, name)) is not None:
                 yield name, value
 
+    @property
+    def changes(self) -> bool:
+        """Whether anything changes at all."""
+        return any(True for _ in self.parts())
+
     def change(self, part: str, degc: Floats) -> Floats:
         """Return by how much a part differs from that at the reference, (k, 3) [its unit], at temperatures (k,).
 
@@ -298,22 +303,38 @@ class ImuCalibration:
         FormatError
             If they need a temperature, and have none that is known.
         """
-        found = self.temperature
-        if found is None:
+        course = self.temperature_course(samples.temperature)
+        if course is None:
             return samples
-        course = None if samples.temperature is None else temperature_course(samples.temperature, found.lag_s)
+        triads = ("accelerometer", "gyroscope")
+        return replace(
+            samples, **{name: self.triad_at_reference(name, getattr(samples, name), course) for name in triads}
+        )
+
+    def temperature_course(self, temperature: TemperatureSamples | None) -> TemperatureCourse | None:
+        """Return the temperature of the sensor by its thermometer's readings; None where nothing depends on it.
+
+        Raises
+        ------
+        FormatError
+            If something does, and there are no readings whose unit is known.
+        """
+        if self.temperature is None or not self.temperature.changes:
+            return None
+        course = None if temperature is None else temperature_course(temperature, self.temperature.lag_s)
         if course is None:
             raise FormatError(
                 "this calibration depends on the temperature, and the recording has no thermometer whose unit is "
                 "known: record a column temp_degC, or state the temperature (--temperature-c)."
             )
-        changed: dict[str, TriadSamples] = {}
-        for name in ("accelerometer", "gyroscope"):
-            triad, stream = getattr(self, name), getattr(samples, name)
-            if triad is not None and len(stream):
-                change = found.change(f"{name}_bias", course.at(stream.t_ns))
-                changed[name] = replace(stream, values=stream.values - change)
-        return replace(samples, **changed)
+        return course
+
+    def triad_at_reference(self, name: str, stream: TriadSamples, course: TemperatureCourse) -> TriadSamples:
+        """Return samples of a triad, "gyroscope" or another, as they would be at the reference temperature."""
+        if self.temperature is None or getattr(self, name) is None or f"{name}_bias" not in TEMPERATURE_PARTS:
+            return stream
+        change = self.temperature.change(f"{name}_bias", course.at(stream.t_ns))
+        return replace(stream, values=stream.values - change)
 
     def _check_units(self, samples: ImuSamples) -> None:
         pairs = (

@@ -61,6 +61,9 @@ class TemperatureResult:
     triads : "gyroscope" and "accelerometer", as recorded
     lag_s, lag_sigma_s : of the thermometer
     step_k : of its readings [K]
+    low_degc, high_degc : temperatures that were seen, the lag undone [degC]
+    supported_order : highest order that this range supports
+    stirred : share of the time that was left out, as something moved
     names : of the recordings
     nominal : whether sensitivities and biases are those of an ideal sensor, as no calibration was given
     """
@@ -70,5 +73,9 @@ class TemperatureResult:
     lag_s: float
     lag_sigma_s: float
     step_k: float
+    low_degc: float
+    high_degc: float
+    supported_order: int
+    stirred: float
     names: tuple[str, ...]
     nominal: bool

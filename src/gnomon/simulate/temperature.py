@@ -6,7 +6,8 @@ from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples
 from ..results.sensors import TemperatureDependence
 from .noise import noise_blocks
-from .scenarios import NoiseScenario, TemperatureScenario
+from .scenarios import NoiseScenario
+from .temperature_scenario import TemperatureScenario
 
 _MARGIN_K = 5.0
 _SIZES = {"gyroscope": (5e-4, 1e-5, 3e-7), "accelerometer": (5e-3, 1e-4, 3e-6)}

@@ -7,8 +7,8 @@ was added to its timestamps. The specific force beside a rate is the one that th
 gyroscope's correction used.
 """
 
+import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -17,14 +17,19 @@ import orjson
 
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
+from ..progress import Progress
+from ..readers.recordings import read
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
 from ..readers.samples.stream import BlockRows, open_stream, stream_of
-from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamples, TriadSamples
-from ..recording.thermometer import temperature_course
+from ..recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
 from ..results.calibration import ImuCalibration
 from ..units import Units
 
 _FORCE, _RATE = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"), ("wx [rad/s]", "wy [rad/s]", "wz [rad/s]")
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, stacklevel=3)
 
 
 def apply_files(
@@ -35,8 +40,14 @@ def apply_files(
     rate_hz: float | None = None,
     units: Units | None = None,
     imu: str = "imu0",
+    temperature_c: float | None = None,
+    strict: bool = False,
+    warn: Progress = _warn,
 ) -> int:
-    """Calibrate a recording from file to file and return the number of rows; memory does not grow with its length.
+    """Calibrate a recording from file to file and return the number of rows.
+
+    Memory does not grow with its length, but for a calibration that depends on the temperature: the thermometer's
+    readings are needed as a whole.
 
     Parameters
     ----------
@@ -45,14 +56,17 @@ def apply_files(
         was calibrated and recorded
     units : as for `gnomon.read`; where nothing tells otherwise they are those of the calibration
     imu : which IMU of an NPZ file
+    temperature_c : of the chip throughout [degC], where the calibration depends on it; else its thermometer's readings
+    strict : refuse a temperature beyond the range in which the calibration knows it
+    warn : called with a sentence where there is such a temperature; a Python warning where not given
 
     Raises
     ------
     RecordingError
         If the recording cannot be read, or holds none of the sensors that were calibrated.
     FormatError
-        If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
-        specific force that there is not.
+        If the samples are not in the units for which the calibration was made, the gyroscope's g-sensitivity needs a
+        specific force that there is not, or the calibration a temperature.
     OutputError
         If the output cannot be written.
     """
@@ -63,11 +77,25 @@ def apply_files(
     stream = open_stream(
         *paths, expected=expected, units=units, columns=columns, rate_hz=rate_hz, imu=imu, triads=wanted
     )
+
+    def thermometer() -> TemperatureSamples | None:
+        if temperature_c is not None:
+            return TemperatureSamples(t_ns=np.array([0, 1_000_000_000]), values=np.full(2, temperature_c), unit="degC")
+        imus = read(*paths, columns=columns, rate_hz=rate_hz, units=units).imus
+        return (imus[imu] if imu in imus else next(iter(imus.values()))).temperature
+
+    stream = _at_reference(calibration, stream, thermometer, strict=strict, warn=warn)
     return write_calibrated(calibration, stream, output)
 
 
 def apply_recording(
-    calibration: ImuCalibration, recording: Recording, output: str | PathLike[str], imu: str = "imu0"
+    calibration: ImuCalibration,
+    recording: Recording,
+    output: str | PathLike[str],
+    imu: str = "imu0",
+    *,
+    strict: bool = False,
+    warn: Progress = _warn,
 ) -> int:
     """Calibrate a recording in memory into a CSV file and return the number of rows; see `apply_files`.
 
@@ -83,32 +111,48 @@ def apply_recording(
     """
     if imu not in recording.imus:
         raise RecordingError(f"no {imu} in this recording. Found: {', '.join(recording.imus)}.")
-    samples = calibration.at_reference(recording.imus[imu])
-    return write_calibrated(calibration, stream_of(samples), output)
+    samples = recording.imus[imu]
+    stream = _at_reference(calibration, stream_of(samples), lambda: samples.temperature, strict=strict, warn=warn)
+    return write_calibrated(calibration, stream, output)
 
 
 _NEAR_K = 0.5
 """How far beyond the range a temperature still counts as in it."""
 
 
-def with_temperature(samples: ImuSamples, degc: float) -> ImuSamples:
-    """Return samples of a chip that was at one temperature [degC] throughout."""
-    stamps = np.concatenate(
-        [stream.t_ns[[0, -1]] for stream in (samples.gyroscope, samples.accelerometer) if len(stream)]
-    )
-    temperature = TemperatureSamples(t_ns=stamps[:2], values=np.full(2, degc), unit="degC")
-    return replace(samples, temperature=temperature)
+def _at_reference(
+    calibration: ImuCalibration,
+    stream: SampleStream,
+    thermometer: Callable[[], TemperatureSamples | None],
+    *,
+    strict: bool,
+    warn: Progress,
+) -> SampleStream:
+    """Return a stream as it would be at the reference temperature; as it is where nothing depends on that.
 
-
-def share_outside(calibration: ImuCalibration, samples: ImuSamples) -> float:
-    """Return in which share of the time the temperature is beyond the range in which a calibration knows it."""
+    Parameters
+    ----------
+    thermometer : called where something does
+    """
     found = calibration.temperature
-    course = (
-        None if found is None or samples.temperature is None else temperature_course(samples.temperature, found.lag_s)
-    )
-    if found is None or course is None:
-        return 0.0
-    return float(np.mean((course.degc < found.low_degc - _NEAR_K) | (course.degc > found.high_degc + _NEAR_K)))
+    if found is None or not found.changes:
+        return stream
+    course = calibration.temperature_course(thermometer())
+    assert course is not None
+    outside = np.mean((course.degc < found.low_degc - _NEAR_K) | (course.degc > found.high_degc + _NEAR_K))
+    if outside > 0:
+        span = f"{found.low_degc:.1f} to {found.high_degc:.1f} degC"
+        told = f"in {100 * outside:.0f} % of the time the chip is beyond the range that is known, {span}"
+        if strict:
+            raise RecordingError(f"{told}. Leave out --strict to correct it as at the nearer end.")
+        warn(f"{told}; corrected as at the nearer end.")
+
+    def corrected(name: str, blocks: Blocks) -> Blocks:
+        for block in blocks:
+            yield calibration.triad_at_reference(name, block, course)
+
+    there = {name: blocks for name in TRIADS if (blocks := getattr(stream, name)) is not None}
+    return SampleStream(**{name: corrected(name, blocks) for name, blocks in there.items()})
 
 
 def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: str | PathLike[str]) -> int:

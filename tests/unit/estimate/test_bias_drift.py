@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.simulate.scenarios import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
+from gnomon.simulate.temperature_scenario import TemperatureScenario
 
 
 def errors_in_sigmas(result, truth, at_degc):
@@ -69,3 +69,16 @@ def test_rising_and_falling_that_differ_are_named():
     plain = TemperatureScenario(recordings=2, back=True, rate_hz=20.0, order=1, duration_s=1800.0)
     healthy = gnomon.calibrate_temperature(simulate_temperature(plain, 8).recordings)
     assert "temperature-branches" not in {finding.code for finding in healthy.calibration.assessment.findings}
+
+
+def test_the_range_is_that_of_the_sensor_not_of_a_thermometer_that_lags():
+    scenario = TemperatureScenario(
+        recordings=2, order=1, lag_s=60.0, start_degc=0.0, rate_hz=10.0, duration_s=900.0, back=True,
+        time_constant_s=120.0,
+    )  # fmt: skip
+    made = simulate_temperature(scenario, 9)
+    result = gnomon.calibrate_temperature(made.recordings)
+    true = float(max(one.max() for one in made.degc))
+    read = max(float(one.imus["imu0"].temperature.values.max()) for one in made.recordings)
+    assert read < true - 0.4
+    assert abs(result.high_degc - true) < 0.25

@@ -48,3 +48,22 @@ def test_fahrenheit_is_converted_and_counts_tell_nothing():
     fahrenheit = TemperatureSamples(t_ns=t_ns, values=np.linspace(68.0, 86.0, 100), unit="degF")
     assert temperature_course(fahrenheit).degc[[0, -1]] == pytest.approx([20.0, 30.0], abs=1.0)
     assert temperature_course(TemperatureSamples(t_ns=t_ns, values=np.arange(100.0), unit="count")) is None
+
+
+def test_bins_with_one_reading_are_as_noisy_as_the_others():
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 1200.0, 3.0)  # two or three readings in each bin of 8 s
+    truth = 55 - 35 * np.exp(-t / 200)
+    read = np.round(truth + rng.normal(0, 0.3, len(t)), 2)
+    course = temperature_course(TemperatureSamples(t_ns=np.round(1e9 * t).astype(np.int64), values=read, unit="degC"))
+    assert np.sqrt(np.mean((course.degc - np.interp(course.t_s, t, truth)) ** 2)) < 0.1
+
+
+def test_readings_that_are_no_numbers_are_left_out():
+    t, truth, samples = warm_up(0.1)
+    values = samples.values.copy()
+    values[::3], values[0], values[-1] = np.nan, np.inf, np.nan
+    course = temperature_course(TemperatureSamples(t_ns=samples.t_ns, values=values, unit="degC"))
+    assert np.sqrt(np.mean((course.degc - np.interp(course.t_s, t, truth)) ** 2)) < 0.03
+    nothing = TemperatureSamples(t_ns=samples.t_ns, values=np.full(len(t), np.nan), unit="degC")
+    assert temperature_course(nothing) is None

@@ -2,6 +2,7 @@
 
 import gzip
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ import gnomon
 from gnomon.errors import FormatError, OutputError, RecordingError
 from gnomon.readers.samples import stream_text
 from gnomon.readers.samples.stream import open_stream, stream_of
-from gnomon.recording import ImuSamples, TriadSamples
+from gnomon.recording import ImuSamples, Recording, TemperatureSamples, TriadSamples
 from gnomon.results.calibration import interpolate_triad
+from gnomon.results.sensors import TemperatureDependence
 from gnomon.units import Units
 from gnomon.writers import apply as module
 from gnomon.writers.apply import apply_files, apply_recording, write_calibrated
+from gnomon.writers.recording_file import save_recording
 
 COUNTS = Units(accelerometer="count", gyroscope="count")
 
@@ -312,3 +315,54 @@ def test_xsens_file_to_file(real_data, random_calibration, tmp_path):
     text = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
     assert np.array_equal(text[:, 1:], values)
     assert np.array_equal(text[:, 0], t_ns)
+
+
+WARM = TemperatureDependence(
+    reference_degc=20.0, low_degc=0.0, high_degc=40.0, lag_s=2.0,
+    accelerometer_bias=np.array([[3.0, -2.0, 1.0]]), gyroscope_bias=np.array([[1.0, 2.0, -3.0], [0.1, 0.0, 0.2]]),
+)  # fmt: skip
+
+
+def warming(tmp_path, from_degc, to_degc, *, temperature=True):
+    """A file of counts whose chip warms up, and its samples."""
+    recorded = samples(300, start_ns=0)
+    t_ns = recorded.gyroscope.t_ns
+    course = TemperatureSamples(t_ns=t_ns, values=np.linspace(from_degc, to_degc, len(t_ns)), unit="degC")
+    recorded = replace(recorded, temperature=course if temperature else None)
+    path = tmp_path / "warming.npz"
+    save_recording(Recording(imus={"imu0": recorded}), path)
+    return path, recorded
+
+
+def test_files_are_corrected_for_their_temperature_too(tmp_path, random_calibration):
+    imu = replace(random_calibration(40).imus["imu0"], temperature=WARM)
+    path, recorded = warming(tmp_path, 5.0, 35.0)
+    apply_files(imu, path, output=tmp_path / "out.csv")
+    same(tmp_path / "out.csv", expected(imu, recorded))
+    apply_recording(imu, gnomon.read(path, units="raw"), tmp_path / "memory.csv")
+    assert (tmp_path / "memory.csv").read_bytes() == (tmp_path / "out.csv").read_bytes()
+
+
+def test_files_without_a_temperature_are_refused_where_it_matters(tmp_path, random_calibration):
+    imu = replace(random_calibration(41).imus["imu0"], temperature=WARM)
+    path, recorded = warming(tmp_path, 5.0, 35.0, temperature=False)
+    with pytest.raises(FormatError, match="thermometer"):
+        apply_files(imu, path, output=tmp_path / "out.csv")
+    apply_files(imu, path, output=tmp_path / "out.csv", temperature_c=30.0)
+    stated = TemperatureSamples(t_ns=recorded.gyroscope.t_ns[[0, -1]], values=np.full(2, 30.0), unit="degC")
+    same(tmp_path / "out.csv", expected(imu, replace(recorded, temperature=stated)))
+    nothing = replace(imu, temperature=TemperatureDependence(reference_degc=20.0, low_degc=0.0, high_degc=40.0))
+    apply_files(nothing, path, output=tmp_path / "out.csv")
+    same(tmp_path / "out.csv", expected(replace(imu, temperature=None), recorded))
+    assert nothing.apply(recorded).gyroscope.unit == "rad/s"
+
+
+def test_a_temperature_beyond_the_range_is_said_or_refused(tmp_path, random_calibration):
+    imu = replace(random_calibration(42).imus["imu0"], temperature=WARM)
+    path, recorded = warming(tmp_path, 20.0, 60.0)
+    with pytest.warns(UserWarning, match="beyond the range"):
+        apply_files(imu, path, output=tmp_path / "out.csv")
+    same(tmp_path / "out.csv", expected(imu, recorded))
+    with pytest.raises(RecordingError, match="beyond the range"):
+        apply_files(imu, path, output=tmp_path / "strict.csv", strict=True)
+    assert not (tmp_path / "strict.csv").exists()

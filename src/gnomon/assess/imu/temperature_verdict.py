@@ -1,12 +1,11 @@
 """What there is to say of a sensor over its temperature."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from ...findings import Finding, make_finding
-from ...frozen import value_class
-from ...results.temperature import TriadOverTemperature
+from ...results.temperature import TemperatureResult, TriadOverTemperature
 from ..verdict import merge_by_cause
 
 _BRANCHES_SIGMAS, _BRANCHES_SHARE = 4.0, 0.05
@@ -16,35 +15,7 @@ _STIRRED = 0.02
 _SHOWN = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s^2")}
 
 
-@value_class
-class TemperatureEvidence:
-    """What the verdict rests on.
-
-    Attributes
-    ----------
-    triads : as described
-    low_degc, high_degc : range that was seen [degC]
-    most : highest order that the range supports
-    step_k : of the thermometer [K]
-    lag_s, lag_sigma_s : of the thermometer
-    recordings : number of warm-ups
-    nominal : whether no calibration was given
-    stirred : share of the time that was left out
-    """
-
-    triads: Mapping[str, TriadOverTemperature]
-    low_degc: float
-    high_degc: float
-    most: int
-    step_k: float
-    lag_s: float
-    lag_sigma_s: float
-    recordings: int
-    nominal: bool
-    stirred: float
-
-
-def temperature_findings(evidence: TemperatureEvidence, thermometers: Sequence[Finding]) -> tuple[Finding, ...]:
+def temperature_findings(result: TemperatureResult, thermometers: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return reasons and advice, the worst first.
 
     Parameters
@@ -52,27 +23,27 @@ def temperature_findings(evidence: TemperatureEvidence, thermometers: Sequence[F
     thermometers : what the thermometers show, of each recording
     """
     findings = [*thermometers]
-    low, high = evidence.low_degc, evidence.high_degc
-    if not evidence.most:
-        findings.append(make_finding("temperature-range/narrow", low=low, high=high, step=evidence.step_k))
+    low, high = result.low_degc, result.high_degc
+    if not result.supported_order:
+        findings.append(make_finding("temperature-range/narrow", low=low, high=high, step=result.step_k))
     else:
-        findings.append(make_finding("temperature-range/good", low=low, high=high, most=evidence.most))
-    for name, triad in evidence.triads.items():
-        findings += [_order_finding(name, triad, evidence), *_branch_findings(name, triad), *_scatter(name, triad)]
-    if evidence.lag_s:
-        findings.append(make_finding("thermometer-lag", lag=evidence.lag_s, sigma=evidence.lag_sigma_s))
-    if evidence.recordings == 1:
+        findings.append(make_finding("temperature-range/good", low=low, high=high, most=result.supported_order))
+    for name, triad in result.triads.items():
+        findings += [_order_finding(name, triad, result), *_branch_findings(name, triad), *_scatter(name, triad)]
+    if result.lag_s:
+        findings.append(make_finding("thermometer-lag", lag=result.lag_s, sigma=result.lag_sigma_s))
+    if len(result.names) == 1:
         findings.append(make_finding("turn-on-unknown"))
-    if "accelerometer" in evidence.triads and evidence.triads["accelerometer"].order:
+    if "accelerometer" in result.triads and result.triads["accelerometer"].order:
         findings.append(make_finding("one-attitude"))
-    if evidence.nominal:
+    if result.nominal:
         findings.append(make_finding("sensor-nominal"))
-    if evidence.stirred > _STIRRED:
-        findings.append(make_finding("warm-up-stirred", share=100 * evidence.stirred))
+    if result.stirred > _STIRRED:
+        findings.append(make_finding("warm-up-stirred", share=100 * result.stirred))
     return merge_by_cause(findings)
 
 
-def _order_finding(name: str, triad: TriadOverTemperature, evidence: TemperatureEvidence) -> Finding:
+def _order_finding(name: str, triad: TriadOverTemperature, result: TemperatureResult) -> Finding:
     factor, unit = _SHOWN[name]
     if not triad.order:
         sigma = factor * max(_per_range(triad))
@@ -86,7 +57,7 @@ def _order_finding(name: str, triad: TriadOverTemperature, evidence: Temperature
         change=factor * change,
         sigma=factor * sigma,
         unit=unit,
-        range=evidence.high_degc - evidence.low_degc,
+        range=result.high_degc - result.low_degc,
     )
 
 

@@ -4,17 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...detect.samples.rest import RestTable, RestWatch, find_stir
 from ...errors import RecordingError
 from ...estimate.temperature.bias_drift import WarmUp
 from ...frozen import value_class
-from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples
-from ...recording.thermometer import temperature_course
+from ...recording import Floats, ImuSamples, Integers, Recording
+from ...recording.thermometer import known_readings, temperature_course
+from ...results.intervals import Booleans
 
 TRIADS = ("gyroscope", "accelerometer")
 _BIN_S, _BINS = 5.0, (20, 90)
 _STILL_RAD = np.radians(5.0)
-_STIRRED = 9.0
-"""Variance of a bin over the usual one, above which something moved."""
 _MOST_STIRRED = 0.5
 
 
@@ -53,7 +53,7 @@ def sensor_at_rest(name: str, recording: Recording) -> ImuSamples:
     if not recording.imus:
         raise RecordingError(f"{name}: there is no IMU in it. Give a recording of its samples and its temperature.")
     imu = next(iter(recording.imus.values()))
-    if imu.temperature is None or temperature_course(imu.temperature) is None:
+    if imu.temperature is None or known_readings(imu.temperature) is None:
         raise RecordingError(
             f"{name}: it tells no temperature. Record the chip's thermometer in a column such as temp_degC; `gnomon "
             "check` says what is read."
@@ -72,57 +72,80 @@ def average_at_rest(name: str, imu: ImuSamples) -> RestBins:
         If the sensor was not at rest.
     """
     triads = tuple(triad for triad in TRIADS if len(getattr(imu, triad)))
-    streams: list[TriadSamples] = [getattr(imu, triad) for triad in triads]
-    begin, end = max(int(one.t_ns[0]) for one in streams), min(int(one.t_ns[-1]) for one in streams)
-    duration = (end - begin) * 1e-9
+    begin = max(int(getattr(imu, triad).t_ns[0]) for triad in triads)
+    duration = (min(int(getattr(imu, triad).t_ns[-1]) for triad in triads) - begin) * 1e-9
     if duration < _BINS[0] * _BIN_S:
         raise RecordingError(
             f"{name}: {max(duration, 0):.0f} s are too short for the temperature to tell. Record a whole warm-up, "
             "of ten minutes or more."
         )
-    edges = np.linspace(begin, end, int(np.clip(duration / _BIN_S, *_BINS)) + 1).astype(np.int64)
-    means, variances, counts = zip(*(_averaged(one, edges) for one in streams), strict=True)
-    quiet = np.logical_and.reduce([
-        (count > 1) & (variance <= _STIRRED * np.median(variance, axis=0)).all(axis=1)
-        for variance, count in zip(variances, counts, strict=True)
-    ])  # fmt: skip
-    if np.mean(~quiet) > _MOST_STIRRED:
+    tables = [_table(imu, triad) for triad in triads]
+    stirs = [find_stir(table).windows for table in tables]
+    stirred = max(float(stir.mean()) for stir in stirs)
+    if stirred > _MOST_STIRRED:
         raise RecordingError(f"{name}: the sensor was not at rest. Let it lie where nothing moves it.")
+    # A slow sensor's windows of some samples are longer than a bin would be.
+    bins = min(int(np.clip(duration / _BIN_S, *_BINS)), *(len(table.t_s) // 2 for table in tables))
+    edges = np.linspace(0.0, duration, bins + 1)
+    parts = [
+        _averaged(table, stir, edges - (int(getattr(imu, triad).t_ns[0]) - begin) * 1e-9)
+        for triad, table, stir in zip(triads, tables, stirs, strict=True)
+    ]
+    kept = np.logical_and.reduce([part.samples > 0 for part in parts])
+    at_s = parts[0].t_s[kept] + (int(getattr(imu, triads[0]).t_ns[0]) - begin) * 1e-9
     if "accelerometer" in triads:
-        _require_one_attitude(name, means[triads.index("accelerometer")][quiet], edges[:-1][quiet] - begin)
-    middles = (edges[:-1] + edges[1:])[quiet] // 2
+        _require_one_attitude(name, parts[triads.index("accelerometer")].mean[kept], at_s)
     return RestBins(
         triads=triads,
-        t_s=np.asarray((middles - begin) * 1e-9, dtype=np.float64),
-        t_ns=middles,
-        samples=counts[0][quiet].astype(np.float64),
-        values=np.column_stack([mean[quiet] for mean in means]),
-        stirred=float(np.mean(~quiet)),
+        t_s=at_s,
+        t_ns=begin + np.rint(1e9 * at_s).astype(np.int64),
+        samples=parts[0].samples[kept],
+        values=np.column_stack([part.mean[kept] for part in parts]),
+        stirred=stirred,
     )
 
 
-def _averaged(stream: TriadSamples, edges: Integers) -> tuple[Floats, Floats, Integers]:
-    """Return means, variances about a trend (n, 3) and numbers of samples (n,) between edges (n + 1,) [ns]."""
-    of = np.searchsorted(edges, stream.t_ns, side="right") - 1
-    inside = (of >= 0) & (of < len(edges) - 1)
-    of, values = of[inside], stream.values[inside]
-    n = len(edges) - 1
-    count = np.bincount(of, minlength=n).astype(np.int64)
-    divisor = np.maximum(count, 1)[:, None]
-    mean = np.column_stack([np.bincount(of, column, minlength=n) for column in values.T]) / divisor
-    off = values - mean[of]
-    variance = np.column_stack([np.bincount(of, column**2, minlength=n) for column in off.T]) / divisor
-    return mean, variance, count
+def _table(imu: ImuSamples, triad: str) -> RestTable:
+    watch = RestWatch()
+    watch.add(getattr(imu, triad))
+    return watch.table()
 
 
-def _require_one_attitude(name: str, means: Floats, since_ns: Integers) -> None:
+@value_class
+class _Averaged:
+    """Of bins: mean times of what is averaged [s], numbers of samples (n,), 0 where nothing is left, means (n, 3)."""
+
+    t_s: Floats
+    samples: Floats
+    mean: Floats
+
+
+def _averaged(table: RestTable, stirred: Booleans, edges_s: Floats) -> _Averaged:
+    """Return means over the windows between edges (n + 1,) [s] in which nothing moved."""
+    n = len(edges_s) - 1
+    of = np.searchsorted(edges_s, table.t_s, side="right") - 1
+    inside = (of >= 0) & (of < n) & ~stirred
+    windows = np.bincount(of[inside], minlength=n)
+    divisor = np.maximum(windows, 1)
+
+    def mean(values: Floats) -> Floats:
+        return np.bincount(of[inside], values[inside], minlength=n) / divisor
+
+    return _Averaged(
+        t_s=mean(table.t_s),
+        samples=np.asarray(windows * (table.samples / max(len(table.t_s), 1)), dtype=np.float64),
+        mean=np.column_stack([mean(column) for column in table.mean.T]),
+    )
+
+
+def _require_one_attitude(name: str, means: Floats, since_s: Floats) -> None:
     directions = means / np.linalg.norm(means, axis=1, keepdims=True)
     middle = np.median(directions, axis=0)
     angles = np.arccos(np.clip(directions @ (middle / np.linalg.norm(middle)), -1, 1))
     if (turned := np.flatnonzero(angles > _STILL_RAD)).size:
         raise RecordingError(
             f"{name}: the sensor is turned by {np.degrees(angles.max()):.0f} deg, such as "
-            f"{since_ns[turned[0]] * 1e-9:.0f} s after the start. A warm-up is recorded at rest in one attitude; cut "
+            f"{since_s[turned[0]]:.0f} s after the start. A warm-up is recorded at rest in one attitude; cut "
             "the rest away (--start-s, --stop-s)."
         )
 

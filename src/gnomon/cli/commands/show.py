@@ -2,12 +2,12 @@
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from ...errors import OptionError, RecordingError
+from ...errors import OptionError
 from ...units import Units
 from ..command import (
     CalibrationPath,
@@ -27,7 +27,6 @@ from ..results import (
 from ..terminal import WIDTH, Terminal
 
 if TYPE_CHECKING:
-    from ...results.calibration import Calibration
     from ...writers.tables import ParameterRows
 
 
@@ -155,10 +154,10 @@ class Apply(Command):
             terminal.warn(f"read as the recording of the calibration: {told}.")
         units = reading.pop("units")
         units = None if units is None else Units.parse(units)
-        if imu.temperature is None:
-            rows = apply_files(imu, *tables, output=self.output, imu=name, units=units, **reading)
-        else:
-            rows = self._at_temperature(calibration, name, tables, {"units": units, **reading}, terminal)
+        rows = apply_files(
+            imu, *tables, output=self.output, imu=name, units=units, temperature_c=self.temperature_c,
+            strict=self.strict, warn=terminal.warn, **reading,
+        )  # fmt: skip
         terminal.print(f"{rows} rows in {self.output}")
         if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
             terminal.print(
@@ -166,33 +165,6 @@ class Apply(Command):
             )
         terminal.document({"rows": rows, "file": str(self.output)})
         return USABLE
-
-    def _at_temperature(
-        self,
-        calibration: "Calibration",
-        name: str,
-        tables: Sequence[Path],
-        reading: Mapping[str, Any],
-        terminal: Terminal,
-    ) -> int:
-        """Correct a recording that is read as a whole, for its temperature has to be smoothed; return the rows."""
-        from ...readers.recordings import read
-        from ...writers.apply import apply_recording, share_outside, with_temperature
-
-        recording = read(*tables, **reading)
-        samples = next(iter(recording.imus.values()))
-        if self.temperature_c is not None:
-            samples = with_temperature(samples, self.temperature_c)
-        imu = calibration.imus[name]
-        outside = share_outside(imu, samples)
-        if outside > 0 and imu.temperature is not None:
-            low, high = imu.temperature.low_degc, imu.temperature.high_degc
-            span = f"{low:.1f} to {high:.1f} degC"
-            told = f"in {100 * outside:.0f} % of the time the chip is beyond the range that is known, {span}"
-            if self.strict:
-                raise RecordingError(f"{tables[0]}: {told}. Leave out --strict to correct it as at the nearer end.")
-            terminal.warn(f"{told}; corrected as at the nearer end.")
-        return apply_recording(imu, replace(recording, imus={name: samples}), self.output, imu=name)
 
 
 def _chosen_imu(command: Apply, imus: tuple[str, ...]) -> str:

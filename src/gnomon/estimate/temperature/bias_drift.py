@@ -26,15 +26,22 @@ from ...results.sensors import HIGHEST_ORDER
 _LIKELY = 1e-5
 """Probability by chance below which an order is taken up."""
 _SHORTEST_LAG_S, _LONGEST_LAG_S = 2.0, 180.0
+"""Of lags that are looked for: a bin is 5 s or longer, and a warm-up some minutes."""
 _FLOOR = 1e-9
+"""Least variance of the noise, of that of the values: readings that were smoothed may have none."""
 _LEAST, _MOST = np.array([-3.0, -14.0, -10.0, -10.0]), np.array([3.0, 14.0, 3.0, 20.0])
 """How far variances are looked for from their first guesses [log]."""
 _MOST_ROUNDS, _LAG_ROUNDS = 250, 8
+"""Evaluations of the likelihood of variances, and narrowings of a lag; most end sooner, by their tolerances."""
 _SCALE_K = 10.0
+"""Unit in which powers of the temperature are of one size, for the sake of the arithmetic [K]."""
 _LAG_SETTLED, _LAG_SHAPE = 0.3, 0.1
 """Sigmas within which a lag has come to rest, and how far thermometers are from lags of first order, of the lag."""
 _DIFFERENCES = 3
 """Of values, in which what follows the temperature is as good as gone."""
+_START = np.array([0.0, -2.0, -2.0, 3.0])
+"""Where the search for variances begins, from the first guesses [log]: the noise as seen, little walk and rounding,
+and switchings-on that differ by more than the noise of a bin."""
 _BRANCH = 0.1
 """Share of the time that the temperature rises, and falls, at least, for both branches to be compared."""
 
@@ -167,8 +174,9 @@ def fit_variances(
         penalty = 1e-6 * float(logs @ logs) - float(np.clip(logs[1], _LEAST[1], _MOST[1]))
         return _likelihood(pieces, variances(logs)) + penalty
 
-    start = np.array([0.0, -2.0, -2.0, 3.0])[:parts]
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": _MOST_ROUNDS, "xatol": 1e-2, "fatol": 1e-3})
+    found = minimize(
+        cost, _START[:parts], method="Nelder-Mead", options={"maxfev": _MOST_ROUNDS, "xatol": 1e-2, "fatol": 1e-3}
+    )
     return variances(found.x)
 
 
