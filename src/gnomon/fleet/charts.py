@@ -4,7 +4,7 @@ import numpy as np
 
 from ..frozen import value_class
 from .line import LineAssessment
-from .statistics import ewma_chart
+from .statistics import ControlChart, ewma_chart, individuals_chart
 
 
 @value_class(eq=True)
@@ -16,9 +16,10 @@ class ChartSummary:
     name, unit : of the scalar
     devices : how many have it
     mean, spread, reproducibility : of the population [unit]; see `LineAssessment`
-    lower, upper : limits of a device with the usual sigma, three standard deviations
+    lower, upper : limits of the chart of individuals
     ewma, ewma_lower, ewma_upper : the newest average, and its limits
-    signals : serial numbers at which the average was beyond its limits
+    outside : serial numbers beyond the limits of individuals
+    signals : those at which the average was beyond its limits
     """
 
     name: str
@@ -32,6 +33,7 @@ class ChartSummary:
     ewma: float
     ewma_lower: float
     ewma_upper: float
+    outside: tuple[str, ...]
     signals: tuple[str, ...]
 
     @property
@@ -51,25 +53,38 @@ class ChartSummary:
         )
 
 
+def control_charts(line: LineAssessment, k: int) -> tuple[ControlChart, ControlChart]:
+    """Return the charts of individuals and of their weighted average, of the devices that have the scalar k.
+
+    Outliers of the population do not widen the limits.
+    """
+    known, table = line.populations[k], line.table
+    first = np.array(line.first, dtype=int)
+    has = np.isfinite(table.values[first, k])
+    rows = first[has]
+    values = table.values[rows, k]
+    individuals = individuals_chart(values, known.mean, usual=known.kept[has])
+    return individuals, ewma_chart(values, np.hypot(known.spread, table.sigmas[rows, k]), known.mean)
+
+
 def chart_summary(line: LineAssessment, name: str) -> ChartSummary:
     """Return the chart of a scalar."""
     k, table = line.table.names.index(name), line.table
     known = line.populations[k]
-    rows = [row for row in line.first if np.isfinite(table.values[row, k])]
-    deviations = np.hypot(known.spread, table.sigmas[rows, k])
-    chart = ewma_chart(table.values[rows, k], deviations, known.mean)
-    reach = 3 * float(np.median(deviations))
+    serials = [table.entries[row].serial for row in line.first if np.isfinite(table.values[row, k])]
+    individuals, average = control_charts(line, k)
     return ChartSummary(
         name=name,
         unit=table.units[k],
-        devices=len(rows),
+        devices=len(serials),
         mean=known.mean,
         spread=known.spread,
         reproducibility=float(line.reproducibility[k]),
-        lower=known.mean - reach,
-        upper=known.mean + reach,
-        ewma=float(chart.points[-1]),
-        ewma_lower=float(chart.lower[-1]),
-        ewma_upper=float(chart.upper[-1]),
-        signals=tuple(table.entries[rows[i]].serial for i in chart.signals),
+        lower=float(individuals.lower[-1]),
+        upper=float(individuals.upper[-1]),
+        ewma=float(average.points[-1]),
+        ewma_lower=float(average.lower[-1]),
+        ewma_upper=float(average.upper[-1]),
+        outside=tuple(serials[i] for i in individuals.signals),
+        signals=tuple(serials[i] for i in average.signals),
     )

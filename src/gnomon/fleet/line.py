@@ -13,6 +13,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 
+from ..assess.verdict import SEVERITIES
 from ..findings import Finding, join_names, make_finding
 from ..frozen import value_class
 from ..recording import Floats
@@ -100,7 +101,6 @@ def assess_line(table: LineTable) -> LineAssessment:
     reproducibility, repeats, moved = _changed_devices(corrected)
     found += moved
     found += _outliers(table, z, limit, first)
-    order = {"problem": 0, "warning": 1, "info": 2, "good": 3}
     return LineAssessment(
         table=table,
         first=tuple(first),
@@ -111,7 +111,7 @@ def assess_line(table: LineTable) -> LineAssessment:
         changes=tuple(changes),
         worst=worst,
         worst_scalar=tuple(worst_scalar.tolist()),
-        findings=tuple(sorted(found, key=lambda finding: order[finding.severity])),
+        findings=tuple(sorted(found, key=lambda finding: SEVERITIES[finding.severity])),
     )
 
 

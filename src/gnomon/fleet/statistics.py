@@ -7,6 +7,7 @@ y_i about the mean is tau^2 + s_i^2 (random effects, DerSimonian and Laird 1986)
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import erfc, sqrt
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..frozen import value_class
 from ..recording import Floats
 from .entries import LibraryEntry
 
+Booleans = np.ndarray[Any, np.dtype[np.bool_]]
 _ROUNDS = 20
 _MAD = 1.4826  # of a normal distribution, standard deviation over median absolute deviation
 
@@ -40,7 +42,7 @@ class Population:
     heterogeneity: float
     count: int
     z: Floats
-    kept: np.ndarray[Any, np.dtype[np.bool_]]
+    kept: Booleans
 
 
 def random_effects(values: Floats, sigmas: Floats) -> Population:
@@ -159,13 +161,14 @@ class ControlChart:
         return np.flatnonzero((self.points < self.lower) | (self.points > self.upper)).tolist()
 
 
-def individuals_chart(values: Floats, centre: float | None = None) -> ControlChart:
+def individuals_chart(values: Floats, centre: float | None = None, *, usual: Booleans | None = None) -> ControlChart:
     """Return the chart of individuals: mean +- 2.66 times the mean moving range, 3 / d2 with d2 = 2 / sqrt(pi).
 
-    The published 1.128 is d2 to four digits (Montgomery, 6.33).
+    The published 1.128 is d2 to four digits (Montgomery, 6.33). Only `usual` values (n,) count for centre and range.
     """
-    middle = float(np.mean(values)) if centre is None else centre
-    reach = 3 * float(np.abs(np.diff(values)).mean()) / (2 / sqrt(np.pi)) if len(values) > 1 else np.inf
+    counted = values if usual is None else values[usual]
+    middle = float(np.mean(counted)) if centre is None else centre
+    reach = 3 * float(np.abs(np.diff(counted)).mean()) / (2 / sqrt(np.pi)) if len(counted) > 1 else np.inf
     flat = np.full(len(values), middle)
     return ControlChart(points=values, centre=flat, lower=flat - reach, upper=flat + reach)
 
@@ -342,9 +345,5 @@ def largest_change(before: LibraryEntry, after: LibraryEntry) -> ScalarChange | 
 
 
 def normal_limit(chance: float) -> float:
-    """Return z that a standard normal number exceeds in absolute value with this chance, by bisection."""
-    low, high = 0.0, 40.0
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if erfc(middle / sqrt(2)) > chance else (low, middle)
-    return high
+    """Return z that a standard normal number exceeds in absolute value with this chance."""
+    return -NormalDist().inv_cdf(chance / 2)

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from .._version import __version__
+from ..assess.verdict import verdict_of
+from ..fleet.charts import control_charts
 from ..fleet.line import LineAssessment, days_of
-from ..fleet.statistics import GaugeStudy, ewma_chart, gauge_study, process_capability, wilson_interval
+from ..fleet.statistics import GaugeStudy, gauge_study, process_capability, wilson_interval
 from ..output import write_whole
-from ..results.calibration import Verdict
 from .drawing.figures import DASHED, Sheet, draw_dots, set_y_limits, thin_points
 from .numbers import MISSING, number_text, percent_text, with_sigma
 from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
@@ -37,14 +38,12 @@ def line_page(line: LineAssessment) -> ReportPage:
     newest = {entry.serial: entry for entry in entries}
     usable = sum(entry.verdict != "fail" for entry in newest.values())
     low, high = wilson_interval(usable, devices)
-    worst = {finding.severity for finding in line.findings}
-    verdict: Verdict = "fail" if "problem" in worst else "warn" if "warning" in worst else "pass"
     uses = ", ".join(sorted({entry.use or "general use" for entry in entries}))
     counts = Counter(finding.code for finding in line.findings)
     return ReportPage(
         title="Line report",
         subject=f"{devices} devices, {len(entries)} results; judged for {uses}" if devices else "no results",
-        verdict=verdict,
+        verdict=verdict_of(line.findings),
         headline=_headline(counts),
         key_numbers=(
             KeyNumber("Devices", str(devices), f"{line.repeats} times one was measured again"),
@@ -77,7 +76,8 @@ def _sections(line: LineAssessment) -> Iterator[Section]:
         "Stations, steps and drifts are looked for one after the other, and each is taken off before the next.",
         "Cpk is that of the achieved sigma against what the use needs, an upper limit. %GRR: standard deviation of the "
         "gauge over that of all (AIAG), where five devices were measured twice at each of several stations.",
-        "EWMA: weight 0.2, limits at three standard deviations; a chart over many devices crosses them by chance.",
+        "Individuals: mean +- 2.66 times the mean moving range, outliers left out. EWMA: weight 0.2, limits at three "
+        "standard deviations. A chart over many devices crosses them by chance.",
     )
     yield Section("method", "How this was found", blocks=[Prose(method)])
 
@@ -180,20 +180,30 @@ def _chart(line: LineAssessment, k: int) -> Figure:
     known, table = line.populations[k], line.table
     rows = [row for row in line.first if np.isfinite(table.values[row, k])]
     y = table.values[rows, k]
-    variance = np.hypot(known.spread, table.sigmas[rows, k])
-    chart = ewma_chart(y, variance, known.mean)
+    individuals, chart = control_charts(line, k)
     x, name = np.arange(1.0, len(y) + 1), table.names[k]
     sheet = Sheet()
     panel = sheet.panel(f"{name} [{table.units[k]}]", top=38, height=_HEIGHT, x_label="device, in the order of dates")
     panel.x.span(0, len(y) + 1)
-    reach = 4 * float(np.median(variance))
-    set_y_limits(panel, np.clip(y, known.mean - 2 * reach, known.mean + 2 * reach), chart.upper, chart.lower)
+    reach = 4 * float(np.median(np.hypot(known.spread, table.sigmas[rows, k])))
+    limits = (individuals.lower[:1], individuals.upper[:1])
+    set_y_limits(panel, np.clip(y, known.mean - 2 * reach, known.mean + 2 * reach), chart.upper, chart.lower, *limits)
     draw_dots(panel, *thin_points(x, y), "muted", size=3.0)
     panel.line(*thin_points(x, chart.points), "x", width=1.6)
     some = np.unique(np.linspace(0, len(y) - 1, 60).astype(int))
     for edge in (chart.lower, chart.upper):
         panel.line(x[some], edge[some], "ink", width=1.0, dash=DASHED)
+    for edge in (individuals.lower, individuals.upper):
+        panel.line(x[[0, -1]], edge[[0, -1]], "muted", width=1.0)
     days = days_of([table.entries[row] for row in rows])
-    caption = f"{len(chart.signals)} of {len(y)} averages are beyond the limits; {int(days.max() - days.min())} days."
-    legend = (Legend("dot", "muted", "device"), Legend("line", "x", "EWMA"), Legend("dash", "ink", "its limits"))
+    caption = (
+        f"{len(individuals.signals)} of {len(y)} devices and {len(chart.signals)} averages are beyond their limits; "
+        f"{int(days.max() - days.min())} days."
+    )
+    legend = (
+        Legend("dot", "muted", "device"),
+        Legend("line", "muted", "limits of individuals"),
+        Legend("line", "x", "EWMA"),
+        Legend("dash", "ink", "its limits"),
+    )
     return Figure(name, sheet.draw(f"chart-{k}", _HEIGHT + 96, f"control chart of {name}"), legend, caption)

@@ -110,6 +110,7 @@ def test_the_report_of_a_line_says_all_of_it_and_stays_small():
     assert "<script>x" not in text
     assert "&lt;script&gt;x&lt;/script&gt; is unlike the others" in text
     assert "gyroscope scale" in text
+    assert "limits of individuals" in text
     assert text.count('<svg class="plot"') == 6
     large = render_page(line_page(assess_line(line_table(healthy_line(1200, 8, again=30)))))
     assert len(large) < 3 * len(small) < 5e5  # points are thinned

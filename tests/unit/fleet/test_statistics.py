@@ -68,6 +68,9 @@ def test_individuals_are_those_of_nist():
     moving = [2.0, 2.3, 1.4, 3.5, 3.4, 1.4, 0.2, 1.2, 1.5]
     assert chart.upper[0] - 50.81 == pytest.approx(1.5 * np.sqrt(np.pi) * sum(moving) / 9, abs=1e-12)
     assert chart.signals == []
+    usual = np.append(np.full(len(INDIVIDUALS), True), False)
+    with_outlier = individuals_chart(np.append(INDIVIDUALS, 500.0), usual=usual)
+    assert (with_outlier.upper[0], with_outlier.signals) == (chart.upper[0], [len(INDIVIDUALS)])
 
 
 def test_ewma_is_that_of_nist():
@@ -140,4 +143,5 @@ def test_steps_drifts_and_groups_have_honest_z():
 
 
 def test_the_limit_is_that_of_the_normal_distribution():
-    assert normal_limit(0.05) == pytest.approx(1.959963984540054, abs=1e-9)
+    assert normal_limit(0.05) == pytest.approx(1.959963984540054, abs=1e-14)
+    assert normal_limit(2e-10) == pytest.approx(6.361340902404056, abs=1e-12)
