@@ -101,6 +101,72 @@ def test_a_calibration_that_came_of_it_is_a_calibration_as_any(warm_ups):
     assert np.array_equal(again.calibration.imus["imu0"].gyroscope.bias, bias)
 
 
+@pytest.fixture(scope="module")
+def oven(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("oven")
+    made = simulate_temperature(replace(SCENARIO, turned=True, rate_hz=100.0), 12)
+    paths = [folder / f"{i}.npz" for i in range(3)]
+    for path, recording in zip(paths, made.recordings, strict=True):
+        save_recording(recording, path)
+    return made, paths
+
+
+@pytest.mark.long
+def test_scales_follow_the_temperature_of_three_turned_recordings(oven, run, tmp_path):
+    made, paths = oven
+    code, out, err = run("temperature", *paths, "-o", tmp_path / "found", "--json")
+    assert code == 0, err
+    document = json.loads(out)
+    assert document["orders"] == document["sensitivity_orders"] == {"gyroscope": 1, "accelerometer": 1}
+    known = gnomon.load(tmp_path / "found" / "calibration.yaml")
+    found = known.imus["imu0"].temperature
+    for part in ("accelerometer_sensitivity", "gyroscope_sensitivity"):
+        sigma = known.sigma(f"imu0.temperature.{part}")
+        free = np.tril(np.ones((3, 3), dtype=bool)) if part.startswith("acc") else np.ones((3, 3), dtype=bool)
+        z = ((getattr(found, part) - getattr(made.truth, part)) / np.where(free, sigma, 1.0))[0]
+        assert np.sqrt(np.mean(z[free] ** 2)) < 2.0
+        assert np.abs(z[free]).max() < 3.5
+        assert not z[~free].any()
+        assert np.all(sigma[0][free] < 3e-5)
+    assert "scale over the temperature" in (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
+    assert run("show", tmp_path / "found")[1].count("accelerometer_sensitivity1_") == 6
+
+
+@pytest.mark.long
+def test_a_rate_at_another_temperature_is_right_after_apply(oven, run, tmp_path):
+    made, paths = oven
+    assert run("temperature", *paths, "-o", tmp_path / "found", "--no-report")[0] == 0
+    sensor = gnomon.load(tmp_path / "found" / "calibration.yaml").imus["imu0"]
+    assert made.sensor is not None
+    true = replace(made.sensor, temperature=made.truth)
+    for recording in (made.recordings[0], made.recordings[2]):
+        samples = recording.imus["imu0"]
+        wanted, without = true.apply(samples), replace(sensor, temperature=None).apply(samples)
+        for name in ("accelerometer", "gyroscope"):
+            off = [
+                np.abs(getattr(one, name).values - getattr(wanted, name).values).mean()
+                for one in (sensor.apply(samples), without)
+            ]
+            assert off[0] < off[1] / 3
+
+
+@pytest.mark.long
+def test_warm_ups_and_turned_recordings_are_told_apart_and_joined(oven, warm_ups):
+    made, _ = oven
+    recordings = [*made.recordings, simulate_temperature(replace(SCENARIO, recordings=1), 12).recordings[0]]
+    result = gnomon.calibrate_temperature(recordings)
+    assert not result.nominal
+    assert result.sensitivities["accelerometer"].order == 1
+    assert len(result.triads["gyroscope"].axes[0].degc) > 20
+    assert "one-attitude" not in {finding.code for finding in result.calibration.assessment.findings}
+
+
+def test_turned_recordings_at_one_temperature_are_refused(oven):
+    same = replace(SCENARIO, turned=True, rate_hz=50.0, start_degc=20.0, end_degc=20.0, intervals=12)
+    with pytest.raises(gnomon.RecordingError, match="3 temperatures or more"):
+        gnomon.calibrate_temperature(simulate_temperature(same, 3).recordings)
+
+
 def turned(recording):
     imu = recording.imus["imu0"]
     values = imu.accelerometer.values.copy()

@@ -55,17 +55,24 @@ def calibrate_several(
     _check_options(options, prior)
     names = recording_names(recordings)
     refuse_same_data(recordings, names)
-    own = replace(options, frame="accel-x")
-    results = [
-        _named(name, lambda recording=recording, tell=tell: one(recording, own, tell))
-        for (name, recording, tell) in _one_by_one(names, recordings, progress)
-    ]
-    if len({result.calibration.assessment.model for result in results}) > 1:
-        results = _with_one_model(_one_by_one(names, recordings, progress), results, own, one)
+    results = calibrated_alike(recordings, names, replace(options, frame="accel-x"), progress, one)
     progress("joining the recordings")
     scalars = scalars_of([result.calibration for result in results], names)
     refuse_other_sensors(scalars, names)
     return _joined(results, names, scalars, recordings, options)
+
+
+def calibrated_alike(
+    recordings: Sequence[Recording], names: Sequence[str], options: ImuOptions, progress: Progress, one: CalibrateOne
+) -> list[Result]:
+    """Calibrate each recording for itself, all with the same model; what one raises names it."""
+    results = [
+        _named(name, lambda recording=recording, tell=tell: one(recording, options, tell))
+        for (name, recording, tell) in _one_by_one(names, recordings, progress)
+    ]
+    if len({result.calibration.assessment.model for result in results}) > 1:
+        results = _with_one_model(_one_by_one(names, recordings, progress), results, options, one)
+    return results
 
 
 def _check_options(options: ImuOptions, prior: Priors) -> None:
@@ -206,7 +213,7 @@ def _joined(
     of_mean[np.ix_(at, at)] += joined.mean_covariance
     covariance[np.ix_(at, at)] += joined.covariance
     first = results[0].calibration
-    imus = {"imu0": _with_scalars(first.imus["imu0"], mean / scalars.factor)}
+    imus = {"imu0": with_scalars(first.imus["imu0"], mean / scalars.factor)}
     inputs = tuple(dict.fromkeys(source for recording in recordings for source in recording.sources))
     calibration = replace(
         first,
@@ -253,7 +260,7 @@ def _one(name: str, result: Result, values: Floats, sigma: Floats, z: Floats) ->
     )
 
 
-def _with_scalars(imu: ImuCalibration, flat: Floats) -> ImuCalibration:
+def with_scalars(imu: ImuCalibration, flat: Floats) -> ImuCalibration:
     """Return the IMU with other values of all its scalars."""
     start = 0
     triads = {}

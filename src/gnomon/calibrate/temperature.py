@@ -30,22 +30,20 @@ from ..findings import Finding
 from ..frozen import value_class
 from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
-from ..results.calibration import (
-    UNSTATED_GRAVITY,
-    AccelerometerCalibration,
-    Assessment,
-    Calibration,
-    Covariance,
-    GyroscopeCalibration,
-    ImuCalibration,
-    Provenance,
-    covariance_names,
-)
+from ..recording.thermometer import temperature_course
+from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.sensors import TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data
-from .steps.warm_ups import TRIADS, RestRecordings, average_at_rest, sensor_at_rest
+from .steps.warm_ups import RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
+from .turned_temperature import (
+    FEWEST_TEMPERATURES,
+    TurnedRecordings,
+    describe_turned,
+    fit_turned,
+    turned_calibration,
+)
 
 _ORDER_FROM_K = (4.0, 10.0, 20.0)
 """Range of temperature that order 1, 2, 3 needs [K], and steps of the thermometer."""
@@ -55,8 +53,27 @@ _LAG_GAIN = 15.0
 _BEYOND = 0.05
 """Of the range, by which a polynomial is used beyond it."""
 _CURVE = 60
-_NOMINAL_SCALE, _NOMINAL_BIAS_M_S2 = 0.03, 1.0
-"""Standard deviations of a sensor as its data sheet has it, that nobody calibrated."""
+
+
+@value_class
+class _Fit:
+    """What was found: axes of each triad, order, variances and polynomial of each axis."""
+
+    problem: DriftProblem
+    axes: dict[str, Sequence[int]]
+    orders: dict[str, int]
+    variances: Sequence[DriftVariances]
+    drifts: Sequence[AxisDrift]
+    lag_s: float
+    lag_sigma_s: float
+    most: int
+    stirred: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Range of the temperatures, the lag of the thermometer undone [degC]."""
+        ends = [pick(one.degc) for one in self.problem.warm_ups for pick in (np.min, np.max)]
+        return float(min(ends)), float(max(ends))
 
 
 def calibrate_temperature(
@@ -91,31 +108,101 @@ def calibrate_temperature(
         raise OptionError("no recording given. Give at least one at rest while the temperature changes.")
     names = recording_names(recordings)
     refuse_same_data(recordings, names)
-    tell("averaging the samples at rest")
-    samples = [sensor_at_rest(name, recording) for name, recording in zip(names, recordings, strict=True)]
-    base, nominal = _base(calibration, samples[0], names[0])
-    bins = [average_at_rest(name, one) for name, one in zip(names, samples, strict=True)]
-    recorded = RestRecordings(samples=samples, bins=bins)
-    tell("finding the thermometer's lag")
-    fit = _fit(recorded, reference_degc, calibration, tell)
+    samples = [sensor_with_thermometer(name, recording) for name, recording in zip(names, recordings, strict=True)]
+    base, nominal = base_calibration(calibration, samples[0], names[0])
+    low, high, step = _as_read(samples)
+    reference = _reference(reference_degc, calibration, (low, high))
+    turned = _turned(recordings, samples, names, reference, tell)
+    if turned is not None:
+        base = turned_calibration(turned, None if nominal else base, *_beyond(turned.span))
+    resting = [i for i, name in enumerate(names) if turned is None or name not in turned.names]
+    fit = None
+    if resting:
+        tell("averaging the samples at rest")
+        bins = [average_at_rest(names[i], samples[i]) for i in resting]
+        fit = _fit(RestRecordings(samples=[samples[i] for i in resting], bins=bins), reference, tell)
+        base = _with_temperature(base, fit, nominal=nominal and turned is None, span=_known_span(fit, turned))
     tell("assessing the result")
-    result = TemperatureResult(
-        calibration=_with_temperature(base, fit, nominal=nominal),
-        triads={name: _describe(fit, name, base) for name in fit.axes},
-        lag_s=fit.lag_s,
-        lag_sigma_s=fit.lag_sigma_s,
-        step_k=fit.step_k,
-        low_degc=fit.span[0],
-        high_degc=fit.span[1],
-        supported_order=fit.most,
-        stirred=float(np.mean([one.stirred for one in bins])),
-        names=tuple(names),
-        nominal=nominal,
-    )
+    result = _result(base, fit, turned, names, step)
+    result = replace(result, nominal=nominal and turned is None)
     thermometers = [finding for name, one in zip(names, samples, strict=True) for finding in _thermometer(name, one)]
     findings = (*temperature_findings(result, thermometers), *base.assessment.findings)
     stated = {} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"}
     return _assessed(result, findings, [source for one in recordings for source in one.sources], stated)
+
+
+def _as_read(samples: Sequence[ImuSamples]) -> tuple[float, float, float]:
+    """Return the lowest and highest temperature as read [degC], and the largest step [K]."""
+    courses = [course for one in samples if one.temperature and (course := temperature_course(one.temperature))]
+    steps = [np.nan_to_num(one.step_k) for one in courses]
+    return (
+        float(min(one.degc.min() for one in courses)),
+        float(max(one.degc.max() for one in courses)),
+        float(max(steps)),
+    )
+
+
+def _turned(
+    recordings: Sequence[Recording],
+    samples: Sequence[ImuSamples],
+    names: Sequence[str],
+    reference_degc: float,
+    tell: Progress,
+) -> TurnedRecordings | None:
+    """Return what the recordings tell in which the sensor is turned; None where these are too few."""
+    which = [i for i, one in enumerate(samples) if is_turned(one)]
+    if len(which) < FEWEST_TEMPERATURES:
+        return None
+    low, high, step = zip(*(_as_read([samples[i]]) for i in which), strict=True)
+    degc = (np.array(low) + np.array(high)) / 2
+    return fit_turned(
+        [recordings[i] for i in which], [names[i] for i in which], degc, reference_degc,
+        supported=_supported(float(np.ptp(degc)), max(step)), progress=tell,
+    )  # fmt: skip
+
+
+def _beyond(span: tuple[float, float]) -> tuple[float, float]:
+    """Return the range in which polynomials are used [degC]."""
+    beyond = _BEYOND * (span[1] - span[0])
+    return span[0] - beyond, span[1] + beyond
+
+
+def _known_span(fit: _Fit, turned: TurnedRecordings | None) -> tuple[float, float]:
+    """Return the range in which everything is known, biases and sensitivities [degC]."""
+    if turned is None:
+        return fit.span
+    return max(fit.span[0], turned.span[0]), min(fit.span[1], turned.span[1])
+
+
+def _result(
+    calibration: Calibration, fit: _Fit | None, turned: TurnedRecordings | None, names: Sequence[str], step_k: float
+) -> TemperatureResult:
+    triads: dict[str, TriadOverTemperature] = {}
+    sensitivities: dict[str, TriadOverTemperature] = {}
+    spans, supported = list[tuple[float, float]](), list[int]()
+    if turned is not None:
+        triads = describe_turned(turned, calibration, "bias")
+        sensitivities = describe_turned(turned, calibration, "scale")
+        spans.append(turned.span)
+        supported.append(turned.supported)
+    if fit is not None:
+        triads |= {name: _describe(fit, name, calibration) for name in fit.axes}
+        spans.append(fit.span)
+        supported.append(fit.most)
+    return TemperatureResult(
+        calibration=calibration,
+        triads=triads,
+        sensitivities=sensitivities,
+        lag_s=0.0 if fit is None else fit.lag_s,
+        lag_sigma_s=0.0 if fit is None else fit.lag_sigma_s,
+        step_k=step_k,
+        low_degc=min(low for low, _ in spans),
+        high_degc=max(high for _, high in spans),
+        supported_order=max(supported),
+        stirred=0.0 if fit is None else fit.stirred,
+        names=tuple(names),
+        nominal=False,
+    )
 
 
 def _assessed(
@@ -139,89 +226,6 @@ def _assessed(
     )
 
 
-@value_class
-class _Fit:
-    """What was found: axes of each triad, order, variances and polynomial of each axis."""
-
-    problem: DriftProblem
-    axes: dict[str, Sequence[int]]
-    orders: dict[str, int]
-    variances: Sequence[DriftVariances]
-    drifts: Sequence[AxisDrift]
-    lag_s: float
-    lag_sigma_s: float
-    step_k: float
-    most: int
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Range of the temperatures, the lag of the thermometer undone [degC]."""
-        ends = [pick(one.degc) for one in self.problem.warm_ups for pick in (np.min, np.max)]
-        return float(min(ends)), float(max(ends))
-
-
-def _base(calibration: Calibration | None, imu: ImuSamples, name: str) -> tuple[Calibration, bool]:
-    """Return the calibration whose sensor changes with the temperature, and whether it is the data sheet's.
-
-    Raises
-    ------
-    OptionError
-        If it is of other sensors, or in other units, or there is none for a sensor in counts.
-    """
-    triads = [triad for triad in TRIADS if len(getattr(imu, triad))]
-    if calibration is None:
-        return _ideal(imu, triads, name), True
-    if len(calibration.imus) != 1:
-        raise OptionError(
-            f"the calibration holds {len(calibration.imus)} IMUs; a temperature is found of one. Give that of one IMU."
-        )
-    sensor = next(iter(calibration.imus.values()))
-    for triad in triads:
-        known, unit = getattr(sensor, triad), getattr(imu, triad).unit
-        if known is not None and known.unit != unit:
-            raise OptionError(
-                f"the calibration's {triad} is in {known.unit}, that of {name} in {unit}. State the units (--units)."
-            )
-    return calibration, False
-
-
-def _ideal(imu: ImuSamples, triads: Sequence[str], name: str) -> Calibration:
-    """Return a sensor as its data sheet has it, with standard deviations to match."""
-    accelerometer = gyroscope = None
-    sigma: list[Floats] = []
-    if "accelerometer" in triads:
-        unit = imu.accelerometer.unit
-        scale = _per_si(unit, ACCELEROMETER_UNITS_M_S2[unit], name)
-        accelerometer = AccelerometerCalibration(sensitivity=scale * np.eye(3), bias=np.zeros(3), unit=unit)
-        sigma += [_NOMINAL_SCALE * scale * np.tri(3).ravel(), np.full(3, _NOMINAL_BIAS_M_S2 * scale)]
-    if "gyroscope" in triads:
-        unit = imu.gyroscope.unit
-        scale = _per_si(unit, GYROSCOPE_UNITS_RAD_S[unit], name)
-        gyroscope = GyroscopeCalibration(
-            sensitivity=scale * np.eye(3), bias=np.zeros(3), g_sensitivity=np.zeros((3, 3)), unit=unit
-        )
-        lower = np.ones((3, 3)) if accelerometer is not None else np.tri(3)
-        sigma += [_NOMINAL_SCALE * scale * lower.ravel(), np.zeros(3), np.zeros(9)]
-    imus = {"imu0": ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)}
-    return Calibration(
-        imus=imus,
-        frame="accel-x" if accelerometer is not None else "gyro-x",
-        gravity=UNSTATED_GRAVITY,
-        uncertainty=Covariance(names=covariance_names(imus), matrix=np.diag(np.concatenate(sigma) ** 2)),
-        assessment=Assessment(verdict="pass", findings=(), model="temperature"),
-        provenance=Provenance(gnomon_version=__version__, method="temperature"),
-    )
-
-
-def _per_si(unit: str, si: float | None, name: str) -> float:
-    if si is None:
-        raise OptionError(
-            f"{name} is in {unit}, and nothing tells what one is. Give a calibration of the sensor (--calibration), or "
-            "state the units (--units)."
-        )
-    return 1 / si
-
-
 def _reference(stated: float | None, calibration: Calibration | None, span: tuple[float, float]) -> float:
     if stated is not None:
         return stated
@@ -240,9 +244,7 @@ def _supported(range_k: float, step_k: float) -> int:
     return sum(range_k >= max(least, _STEPS * order * step_k) for order, least in enumerate(_ORDER_FROM_K, 1))
 
 
-def _fit(
-    recorded: RestRecordings, reference_degc: float | None, calibration: Calibration | None, tell: Progress
-) -> _Fit:
+def _fit(recorded: RestRecordings, reference: float, tell: Progress) -> _Fit:
     triads = recorded.bins[0].triads
     if any(one.triads != triads for one in recorded.bins):
         raise RecordingError("the recordings hold different sensors. Give those of one IMU alone.")
@@ -250,14 +252,13 @@ def _fit(
     every = [axis for part in axes.values() for axis in part]
     as_read = recorded.warm_ups(0.0)
     low, high = (float(pick([pick(one.degc) for one in as_read])) for pick in (min, max))
-    reference = _reference(reference_degc, calibration, (low, high))
-    step = max(one.step_k for one in as_read)
-    most = _supported(high - low, step)
+    most = _supported(high - low, max(one.step_k for one in as_read))
 
     @cache
     def at_lag(lag_s: float) -> DriftProblem:
         return DriftProblem(warm_ups=recorded.warm_ups(lag_s), reference_degc=reference)
 
+    tell("finding the thermometer's lag")
     lag, sigma, gain = fit_lag(at_lag, every) if most else (0.0, 0.0, 0.0)
     if gain < _LAG_GAIN or not np.isfinite(sigma):
         lag, sigma = 0.0, 0.0
@@ -270,33 +271,32 @@ def _fit(
     drifts = [fit_drift(problem, axis, orders[triad], variances[axis]) for triad, part in axes.items() for axis in part]
     return _Fit(
         problem=problem, axes=dict(axes), orders=orders, variances=variances, drifts=drifts, lag_s=lag,
-        lag_sigma_s=sigma, step_k=step, most=most,
+        lag_sigma_s=sigma, most=most, stirred=float(np.mean([one.stirred for one in recorded.bins])),
     )  # fmt: skip
 
 
-def _dependence(fit: _Fit, base: Calibration) -> TemperatureDependence:
+def _dependence(fit: _Fit, base: Calibration, span: tuple[float, float]) -> TemperatureDependence:
+    """Return the biases over the temperature, beside what is known of sensitivities."""
     sensor = next(iter(base.imus.values()))
     biases = {
         f"{triad}_bias": np.column_stack([fit.drifts[axis].coefficients[1:] for axis in part])
-        for triad, part in fit.axes.items()
         if fit.orders[triad] and getattr(sensor, triad) is not None
+        else None
+        for triad, part in fit.axes.items()
     }
-    low, high = fit.span
-    beyond = _BEYOND * (high - low)
-    return TemperatureDependence(
-        reference_degc=fit.problem.reference_degc,
-        low_degc=low - beyond,
-        high_degc=high + beyond,
-        lag_s=fit.lag_s,
-        **biases,
+    low, high = _beyond(span)
+    known = sensor.temperature or TemperatureDependence(reference_degc=0.0, low_degc=low, high_degc=high)
+    return replace(
+        known, reference_degc=fit.problem.reference_degc, low_degc=low, high_degc=high, lag_s=fit.lag_s, **biases
     )
 
 
-def _with_temperature(base: Calibration, fit: _Fit, *, nominal: bool) -> Calibration:
+def _with_temperature(base: Calibration, fit: _Fit, *, nominal: bool, span: tuple[float, float]) -> Calibration:
     """Return the calibration with the dependence, and the covariance of both; a bias that was ideal is found, too."""
-    found = _dependence(fit, base)
+    found = _dependence(fit, base, span)
     name, sensor = next(iter(base.imus.items()))
-    known = {scalar: i for i, scalar in enumerate(base.uncertainty.names) if ".temperature." not in scalar}
+    replaced = tuple(f"{name}.temperature.{triad}_bias[" for triad in fit.axes)
+    known = {scalar: i for i, scalar in enumerate(base.uncertainty.names) if not scalar.startswith(replaced)}
     if nominal and sensor.gyroscope is not None:
         bias = np.array([fit.drifts[axis].coefficients[0] for axis in fit.axes["gyroscope"]])
         sensor = replace(sensor, gyroscope=replace(sensor.gyroscope, bias=bias))
@@ -306,10 +306,9 @@ def _with_temperature(base: Calibration, fit: _Fit, *, nominal: bool) -> Calibra
     matrix = np.zeros((len(names), len(names)))
     rows = [at[scalar] for scalar in known]
     matrix[np.ix_(rows, rows)] = base.uncertainty.matrix[np.ix_(list(known.values()), list(known.values()))]
-    for part, _ in found.parts():
-        triad = part.split("_", 1)[0]
-        for k, axis in enumerate(fit.axes[triad]):
-            places = [at[f"{name}.temperature.{part}[{j},{k}]"] for j in range(fit.orders[triad])]
+    for triad, part in fit.axes.items():
+        for k, axis in enumerate(part if getattr(found, f"{triad}_bias") is not None else ()):
+            places = [at[f"{name}.temperature.{triad}_bias[{j},{k}]"] for j in range(fit.orders[triad])]
             matrix[np.ix_(places, places)] = fit.drifts[axis].covariance[1:, 1:]
     if nominal and sensor.gyroscope is not None:
         for k, axis in enumerate(fit.axes["gyroscope"]):

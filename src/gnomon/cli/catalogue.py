@@ -24,7 +24,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "turntable": ("turntable.Turntable", "a gyroscope on a turntable, such as a record player"),
         "magnetometer": ("magnetometer.Magnetometer", "a magnetometer that was turned by hand"),
         "noise": ("noise.Noise", "the noise of an IMU, from a long recording at rest"),
-        "temperature": ("temperature.Temperature", "how an IMU changes with its temperature, from warm-ups at rest"),
+        "temperature": ("temperature.Temperature", "how an IMU changes with its temperature"),
     },
     "prepare": {
         "live": ("live.Live", "record a sensor with guidance on what to do next"),
@@ -52,7 +52,10 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),
         "simulate magnetometer": ("magnetometer.SimulateMagnetometer", "a magnetometer turned by hand"),
         "simulate noise": ("noise.SimulateNoise", "a long recording at rest"),
-        "simulate temperature": ("temperature.SimulateTemperature", "warm-ups at rest, with a thermometer"),
+        "simulate temperature": (
+            "temperature.SimulateTemperature",
+            "an IMU over its temperature, with its thermometer",
+        ),
         "simulate cameras": ("camera.SimulateCameras", "cameras in front of a board"),
         "simulate camera-imu": ("camera_imu.SimulateCameraImu", "cameras and an IMU in front of a board"),
         "simulate room": ("room.SimulateRoom", "a camera and an IMU in a room, without a board"),

@@ -71,12 +71,31 @@ static inline void gnomon_{imu}_at_reference({arguments}, float degc)
 {{
     const float t = degc < {low_literal} ? {low_literal} : degc > {high_literal} ? {high_literal} : degc;
     const float d = t - {reference};
-    for (int i = 0; i < 3; ++i) {{
-{body}    }}
-}}
+{body}}}
 """
 
-HOLDS = Holds(program="the C header", cameras=0, samples_in_si=False, magnetometer=True, temperature=True)
+_SENSITIVITY = """\
+    {{   /* y - bias = (1 + D) x is solved for x by x = y - bias - D x, to the fourth power of D */
+        float y[3], x[3], more[3];
+        for (int i = 0; i < 3; ++i)
+            x[i] = y[i] = {triad}[i] - gnomon_{imu}_{triad}_bias[i] - gnomon_{imu}_{triad}_bias_rest[i];
+        for (int k = 0; k < 3; ++k) {{
+            for (int i = 0; i < 3; ++i) {{
+                more[i] = 0.0f;
+                for (int j = 0; j < 3; ++j)
+                    more[i] += d * {change} * x[j];
+            }}
+            for (int i = 0; i < 3; ++i)
+                x[i] = y[i] - more[i];
+        }}
+        for (int i = 0; i < 3; ++i)
+            {triad}[i] -= more[i];
+    }}
+"""
+
+HOLDS = Holds(
+    program="the C header", cameras=0, samples_in_si=False, magnetometer=True, temperature=True, temperature_scale=True
+)
 
 
 def export(calibration: Calibration, context: Context) -> Export:
@@ -160,21 +179,35 @@ def _function(imu: str, calibration: ImuCalibration) -> str:
 
 def _temperature_function(imu: str, found: TemperatureDependence) -> str:
     """Return the function that takes samples to the reference temperature."""
-    parts = {part.removesuffix("_bias"): value for part, value in found.parts()}
-    body, constants = "", ""
-    for triad, coefficients in parts.items():
-        name = f"gnomon_{imu}_{triad}_by_temperature"
-        rows = ", ".join(map(_row, coefficients))
-        constants += f"static const float {name}[{len(coefficients)}][3] = {{{rows}}};\n"
-        change = f"{name}[{len(coefficients) - 1}][i]"
-        for order in range(len(coefficients) - 2, -1, -1):
-            change = f"({name}[{order}][i] + d * {change})"
-        body += f"        {triad}[i] -= d * {change};\n"
+    parts = dict(found.parts())
+    body, constants, after = "", "", ""
+    for part, coefficients in parts.items():
+        triad, kind = part.split("_")
+        name = f"gnomon_{imu}_{triad}_{'' if kind == 'bias' else 'sensitivity_'}by_temperature"
+        if kind == "bias":
+            rows = ", ".join(map(_row, coefficients))
+            constants += f"static const float {name}[{len(coefficients)}][3] = {{{rows}}};\n"
+            body += f"        {triad}[i] -= d * {_polynomial(name, len(coefficients), '[i]')};\n"
+            continue
+        matrices = ", ".join("{" + ", ".join(map(_row, matrix)) + "}" for matrix in coefficients)
+        constants += f"static const float {name}[{len(coefficients)}][3][3] = {{{matrices}}};\n"
+        change = _polynomial(name, len(coefficients), "[i][j]")
+        after += _SENSITIVITY.format(imu=imu, triad=triad, change=change)
+    triads = dict.fromkeys(part.split("_")[0] for part in parts)
     return constants + _TEMPERATURE.format(
         imu=imu, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
-        high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc), body=body,
-        arguments=", ".join(f"float {triad}[3]" for triad in parts),
+        high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc),
+        body=f"    for (int i = 0; i < 3; ++i) {{\n{body}    }}\n{after}" if body else after,
+        arguments=", ".join(f"float {triad}[3]" for triad in triads),
     )  # fmt: skip
+
+
+def _polynomial(name: str, order: int, at: str) -> str:
+    """Return what a polynomial of d is over d, by Horner's scheme."""
+    change = f"{name}[{order - 1}]{at}"
+    for j in range(order - 2, -1, -1):
+        change = f"({name}[{j}]{at} + d * {change})"
+    return change
 
 
 def _magnetometer_function(imu: str, unit: str, field_unit: str) -> str:

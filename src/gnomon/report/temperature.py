@@ -17,6 +17,7 @@ _HEADLINES = {
     "fail": "The temperature's effect is not known.",
 }
 _UNITS = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s²")}
+_RELATIVE = (1e2, "%")
 
 
 def write_temperature_report(result: TemperatureResult, path: str | Path) -> None:
@@ -36,7 +37,11 @@ def temperature_page(result: TemperatureResult) -> ReportPage:
     found = next(iter(calibration.imus.values())).temperature
     assert found is not None
     lag = f"{result.lag_s:.0f} ± {result.lag_sigma_s:.0f} s" if result.lag_s else "none found"
-    figures = [_figure(name, triad, found.reference_degc) for name, triad in result.triads.items()]
+    figures = [
+        _figure(name, kind, triad, found.reference_degc)
+        for kind, triads in (("bias", result.triads), ("scale", result.sensitivities))
+        for name, triad in triads.items()
+    ]
     return ReportPage(
         title="An IMU over its temperature",
         subject=", ".join(result.names),
@@ -58,10 +63,10 @@ def temperature_page(result: TemperatureResult) -> ReportPage:
     )
 
 
-def _figure(name: str, triad: TriadOverTemperature, reference_degc: float) -> Figure:
-    factor, unit = _UNITS[name]
+def _figure(name: str, kind: str, triad: TriadOverTemperature, reference_degc: float) -> Figure:
+    factor, unit = _UNITS[name] if kind == "bias" else _RELATIVE
     sheet = Sheet()
-    panel = sheet.panel(f"Change of the bias [{unit}]", top=36, height=260, x_label="temperature [°C]")
+    panel = sheet.panel(f"Change of the {kind} [{unit}]", top=36, height=260, x_label="temperature [°C]")
     for axis, color in zip(triad.axes, AXES, strict=True):
         low, high = axis.change - 2 * axis.sigma, axis.change + 2 * axis.sigma
         panel.band(axis.at_degc, factor * low, factor * high, color, alpha=0.2)
@@ -71,13 +76,15 @@ def _figure(name: str, triad: TriadOverTemperature, reference_degc: float) -> Fi
     ends = np.concatenate([axis.at_degc[[0, -1]] for axis in triad.axes])
     panel.x.span(float(ends.min()), float(ends.max()))
     set_y_limits(panel, *(factor * np.concatenate([axis.values, axis.change]) for axis in triad.axes))
-    alt = (
-        f"Change of the {name}'s bias over the temperature: means of some seconds, polynomials of order {triad.order}."
+    alt = f"Change of the {name}'s {kind} over the temperature: what was measured, polynomials of order {triad.order}."
+    measured = (
+        "means of some seconds" if len(np.unique(triad.axes[0].warm_up)) < len(triad.axes[0].degc) else "recordings"
     )
     legend = [Legend("line", axis, axis) for axis in AXES]
-    legend += [Legend("dot", "ink", "means of some seconds"), Legend("band", "before", "±2 σ")]
+    legend += [Legend("dot", "ink", measured), Legend("band", "before", "±2 σ")]
     legend.append(Legend("dash", "accent", "reference"))
-    return Figure(f"{name.capitalize()} over the temperature", sheet.draw(f"temperature-{name}", 356, alt), legend)
+    drawn = sheet.draw(f"temperature-{name}-{kind}", 356, alt)
+    return Figure(f"{name.capitalize()}, {kind} over the temperature", drawn, legend)
 
 
 def _coefficients(result: TemperatureResult) -> ReportTable:
@@ -87,21 +94,24 @@ def _coefficients(result: TemperatureResult) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for part, coefficients in sensor.temperature.parts():
         path = f"{name}.temperature.{part}"
-        for j, (row, sigma) in enumerate(zip(coefficients, calibration.sigma(path), strict=True), 1):
+        for (j, *which), row in zip(np.ndindex(coefficients.shape[:-1]), coefficients.reshape(-1, 3), strict=True):
+            sigma = calibration.sigma(path)[(j, *which)]
             cells = (f"{value:.4g} ± {one:.2g}" for value, one in zip(row, sigma, strict=True))
-            rows.append((f"{part.replace('_', ', ')}, (T - T_ref)^{j}", *cells))
+            of = "".join(f", row {'xyz'[k]}" for k in which)
+            rows.append((f"{part.replace('_', ', ')}{of}, (T - T_ref)^{j + 1}", *cells))
     return ReportTable(
         "Coefficients",
         ("", "x", "y", "z"),
         rows,
-        "In the unit of the recording, per K to that power; ± one standard deviation.",
+        "Biases in the unit of the recording, sensitivities relative, per K to that power; ± one standard deviation.",
     )
 
 
 def _scatter(result: TemperatureResult) -> ReportTable:
     rows: list[tuple[str, ...]] = []
-    for name, triad in result.triads.items():
-        factor, unit = _UNITS[name]
+    every = [(name, triad, *_UNITS[name]) for name, triad in result.triads.items()]
+    every += [(f"{name}, scale", triad, *_RELATIVE) for name, triad in result.sensitivities.items()]
+    for name, triad, factor, unit in every:
         for label, values in (
             ("from one switching-on to the next", triad.turn_on),
             ("rising against falling", triad.branches),
@@ -119,6 +129,9 @@ def _method() -> Prose:
             "+ white noise. The variances are those of largest restricted likelihood (Patterson and Thompson, 1971), "
             "and the polynomials follow by generalised least squares. The thermometer's steps are smoothed away, and "
             "its lag is found along with the biases.",
+            "Of recordings in which the sensor was turned each is calibrated for itself; polynomials through their "
+            "numbers follow by least squares, weighted with their covariances and with what differs from one "
+            "switching-on to the next.",
             "Beyond the range nothing is known; polynomials run away there.",
         )
     )

@@ -61,6 +61,8 @@ def parameter_unit(calibration: Calibrated, path: str) -> str:
     sensor = getattr(imu, triad)
     if parameter == "bias":
         return sensor.unit
+    if ".temperature." in path:
+        return "1"
     physical = sensor.field_unit if triad == "magnetometer" else _SI[triad]
     return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else physical)
 
@@ -70,7 +72,8 @@ def element_units(calibration: Calibrated, path: str) -> list[str]:
     count = np.size(dict(calibration_parameters(calibration.imus, calibration.cameras))[path])
     units = [parameter_unit(calibration, path)] * count
     if ".temperature." in path:
-        return [unit_ratio(unit, f"K^{i // 3 + 1}" if i >= 3 else "K") for i, unit in enumerate(units)]
+        each = count // len(dict(calibration_parameters(calibration.imus, calibration.cameras))[path])
+        return [unit_ratio(unit, f"K^{i // each + 1}" if i >= each else "K") for i, unit in enumerate(units)]
     return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, OptionError
-from ..frozen import value_class
+from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
 from ..models.origin import Origin
 from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array
@@ -145,9 +145,11 @@ class TemperatureDependence:
 
     With d = T - reference_degc, and in sensor axes, a triad that reads y at the reference reads
 
-        y(T) = y + sum_j bias[j - 1] d^j,    j = 1 to the order.
+        y(T) = bias + sum_j bias_j d^j + (1 + sum_j sensitivity_j d^j) (y - bias),    j = 1 to the order:
 
-    A part that does not change is None.
+    the sensitivities are relative changes, which also the g-sensitivity of a gyroscope takes part in. A part that does
+    not change is None. Of the six numbers by which an accelerometer alone tells its sensitivity those of body frame
+    accel-x change, at each temperature, and the gyroscope's are against that frame.
 
     Attributes
     ----------
@@ -155,6 +157,7 @@ class TemperatureDependence:
     low_degc, high_degc : range in which the polynomials hold [degC]; beyond it they are taken at the nearer end
     lag_s : by which the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x [s]
     accelerometer_bias, gyroscope_bias : (order, 3) [unit/K^j]
+    accelerometer_sensitivity, gyroscope_sensitivity : (order, 3, 3) [1/K^j]
     """
 
     reference_degc: float
@@ -163,6 +166,8 @@ class TemperatureDependence:
     lag_s: float = 0.0
     accelerometer_bias: Floats | None = None
     gyroscope_bias: Floats | None = None
+    accelerometer_sensitivity: Floats | None = None
+    gyroscope_sensitivity: Floats | None = None
 
     def __post_init__(self) -> None:
         for name in TEMPERATURE_PARTS:
@@ -182,23 +187,48 @@ class TemperatureDependence:
         return any(True for _ in self.parts())
 
     def change(self, part: str, degc: Floats) -> Floats:
-        """Return by how much a part differs from that at the reference, (k, 3) [its unit], at temperatures (k,).
+        """Return by how much a part differs from that at the reference at temperatures (k,).
 
         Beyond the range it is that at the nearer end: polynomials run away there.
+
+        Returns
+        -------
+        (k, 3) of a bias [its unit], (k, 3, 3) of a sensitivity, relative to it
         """
         coefficients: Floats | None = getattr(self, part)
         if coefficients is None:
-            return np.zeros((len(degc), 3))
+            return np.zeros((len(degc), *TEMPERATURE_PARTS[part]))
         known = np.clip(degc, self.low_degc, self.high_degc)
         powers = np.vander(known - self.reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
-        return powers @ coefficients
+        return np.tensordot(powers, coefficients, axes=1)
+
+    def to_reference(self, name: str, values: Floats, degc: Floats, bias: Floats) -> Floats:
+        """Return what samples (n, 3) of a triad with such a bias (3,) would be at the reference temperature."""
+        values = values - self.change(f"{name}_bias", degc)
+        if getattr(self, f"{name}_sensitivity") is None:
+            return values
+        larger = np.eye(3) + self.change(f"{name}_sensitivity", degc)
+        return bias + np.linalg.solve(larger, (values - bias)[:, :, None])[:, :, 0]
+
+    def from_reference(self, name: str, values: Floats, degc: Floats, bias: Floats) -> Floats:
+        """Return what samples (n, 3) that are right at the reference temperature would be at others (n,)."""
+        relative = self.change(f"{name}_sensitivity", degc)
+        more = np.einsum("nij,nj->ni", relative, values - bias)
+        return values + more + self.change(f"{name}_bias", degc)
 
 
 HIGHEST_ORDER = 3
 """Of polynomials of the temperature."""
 
-TEMPERATURE_PARTS = ("accelerometer_bias", "gyroscope_bias")
-"""What a temperature may change, in the order of the covariance."""
+TEMPERATURE_PARTS = FrozenMapping(
+    {
+        "accelerometer_bias": (3,),
+        "gyroscope_bias": (3,),
+        "accelerometer_sensitivity": (3, 3),
+        "gyroscope_sensitivity": (3, 3),
+    }
+)
+"""What a temperature may change, in the order of the covariance, and the shape of one coefficient."""
 
 
 @value_class
@@ -331,10 +361,11 @@ class ImuCalibration:
 
     def triad_at_reference(self, name: str, stream: TriadSamples, course: TemperatureCourse) -> TriadSamples:
         """Return samples of a triad, "gyroscope" or another, as they would be at the reference temperature."""
-        if self.temperature is None or getattr(self, name) is None or f"{name}_bias" not in TEMPERATURE_PARTS:
+        triad = getattr(self, name)
+        if self.temperature is None or triad is None or f"{name}_bias" not in TEMPERATURE_PARTS:
             return stream
-        change = self.temperature.change(f"{name}_bias", course.at(stream.t_ns))
-        return replace(stream, values=stream.values - change)
+        values = self.temperature.to_reference(name, stream.values, course.at(stream.t_ns), triad.bias)
+        return replace(stream, values=values)
 
     def _check_units(self, samples: ImuSamples) -> None:
         pairs = (

@@ -58,7 +58,8 @@ class TemperatureResult:
     Attributes
     ----------
     calibration : with the temperature dependence of its IMU
-    triads : "gyroscope" and "accelerometer", as recorded
+    triads : biases of "gyroscope" and "accelerometer", as recorded
+    sensitivities : their scales, relative; empty where the sensor was not turned
     lag_s, lag_sigma_s : of the thermometer
     step_k : of its readings [K]
     low_degc, high_degc : temperatures that were seen, the lag undone [degC]
@@ -70,6 +71,7 @@ class TemperatureResult:
 
     calibration: Calibration
     triads: dict[str, TriadOverTemperature]
+    sensitivities: dict[str, TriadOverTemperature]
     lag_s: float
     lag_sigma_s: float
     step_k: float

@@ -1,17 +1,23 @@
-"""Warm-ups of an IMU at rest whose biases follow the temperature, read by a thermometer with steps, noise and a lag."""
+"""Recordings of an IMU that follows its temperature, read by a thermometer with steps, noise and a lag.
+
+Warm-ups at rest, or multi-position recordings at several temperatures.
+"""
 
 import numpy as np
 
 from ..frozen import value_class
-from ..recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples
-from ..results.sensors import TemperatureDependence
+from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamples, TriadSamples
+from ..results.sensors import ImuCalibration, TemperatureDependence
+from .imu import simulate_imu
 from .noise import noise_blocks
-from .scenarios import NoiseScenario
+from .scenarios import NoiseScenario, Scenario
 from .temperature_scenario import TemperatureScenario
 
 _MARGIN_K = 5.0
 _SIZES = {"gyroscope": (5e-4, 1e-5, 3e-7), "accelerometer": (5e-3, 1e-4, 3e-6)}
 """Usual sizes of the coefficients [rad/s/K^j], [m/s^2/K^j], as of low-cost chips."""
+_SMALLER, _ACROSS = 50.0, 0.3
+"""Of a sensitivity's coefficients: each one from the one before [K], and axes from scales."""
 
 
 @value_class
@@ -23,15 +29,17 @@ class TemperatureSimulation:
     recordings : with the readings of its thermometer
     degc : of each recording, the temperature of the chip at each sample of the gyroscope [degC]
     truth : reference and polynomials
+    sensor : at the reference, of recordings in which it is turned; else None, an ideal one
     """
 
     recordings: tuple[Recording, ...]
     degc: tuple[Floats, ...]
     truth: TemperatureDependence
+    sensor: ImuCalibration | None = None
 
 
 def simulate_temperature(scenario: TemperatureScenario, seed: int = 0) -> TemperatureSimulation:
-    """Simulate warm-ups of one sensor.
+    """Simulate recordings of one sensor over its temperature.
 
     Parameters
     ----------
@@ -45,12 +53,62 @@ def simulate_temperature(scenario: TemperatureScenario, seed: int = 0) -> Temper
         for triad, sizes in _SIZES.items()
         if scenario.order
     }
+    if scenario.turned and scenario.sensitivity_order:
+        parts |= {
+            f"{triad}_sensitivity": np.array(
+                [_change(triad, scenario.sensitivity / _SMALLER**j, rng) for j in range(scenario.sensitivity_order)]
+            )
+            for triad in _SIZES
+        }
     truth = TemperatureDependence(
         reference_degc=reference, low_degc=low - _MARGIN_K, high_degc=high + _MARGIN_K, lag_s=scenario.lag_s, **parts
     )
     seeds = rng.integers(0, 2**31, scenario.recordings).tolist()
+    if scenario.turned:
+        return _turned(scenario, truth, seeds, rng)
     recordings, degc = zip(*(_recording(scenario, truth, one, rng) for one in seeds), strict=True)
     return TemperatureSimulation(recordings=recordings, degc=degc, truth=truth)
+
+
+def _change(triad: str, size: float, rng: np.random.Generator) -> Floats:
+    """Return a relative change of a sensitivity, (3, 3), of the accelerometer's in frame accel-x."""
+    change = size * rng.standard_normal((3, 3)) * np.where(np.eye(3), 1.0, _ACROSS)
+    return np.tril(change) if triad == "accelerometer" else change
+
+
+def _turned(
+    scenario: TemperatureScenario, truth: TemperatureDependence, seeds: list[int], rng: np.random.Generator
+) -> TemperatureSimulation:
+    """Return multi-position recordings at temperatures from start to end."""
+    recordings: list[Recording] = []
+    degc: list[Floats] = []
+    sensor = None
+    for seed, at in zip(seeds, np.linspace(scenario.start_degc, scenario.end_degc, len(seeds)), strict=True):
+        plain = Scenario(intervals=scenario.intervals, t_init_s=20.0, rate_hz=scenario.rate_hz, sensor_seed=seeds[0])
+        made, known = simulate_imu(plain, seed)
+        samples, sensor = made.imus["imu0"], known.imus["imu0"]
+        t_s = samples.gyroscope.t_s
+        course = at + rng.normal(0.0, 1.0) + scenario.self_heating_k * (1 - np.exp(-t_s / scenario.time_constant_s))
+        degc.append(course)
+        turn_on = {"gyroscope": scenario.gyroscope_turn_on, "accelerometer": scenario.accelerometer_turn_on}
+        triads: dict[str, TriadSamples] = {}
+        for name in ("accelerometer", "gyroscope"):
+            triad, bias = getattr(samples, name), getattr(sensor, name).bias
+            values = triad.values + (triad.values - bias) @ _change(name, scenario.sensitivity_scatter, rng).T
+            values = truth.from_reference(name, values, course, bias) + turn_on[name] * rng.standard_normal(3)
+            triads[name] = TriadSamples(t_ns=triad.t_ns, values=values, unit=triad.unit)
+        read = _thermometer(scenario, samples.gyroscope.t_ns, course, rng)
+        imu = ImuSamples(accelerometer=triads["accelerometer"], gyroscope=triads["gyroscope"], temperature=read)
+        recordings.append(Recording(imus={"imu0": imu}))
+    return TemperatureSimulation(recordings=tuple(recordings), degc=tuple(degc), truth=truth, sensor=sensor)
+
+
+def _thermometer(
+    scenario: TemperatureScenario, t_ns: Integers, degc: Floats, rng: np.random.Generator
+) -> TemperatureSamples:
+    read = _read(scenario, np.asarray(t_ns * 1e-9, dtype=np.float64), degc, rng)
+    every = slice(None, None, max(1, round(scenario.rate_hz / scenario.thermometer_rate_hz)))
+    return TemperatureSamples(t_ns=t_ns[every], values=read[every], unit="degC")
 
 
 def _recording(
@@ -70,9 +128,7 @@ def _recording(
             values = values + scenario.branches / 2 * np.sign(np.gradient(degc))[:, None]
         return TriadSamples(t_ns=t_ns, values=values, unit=unit)
 
-    read = _read(scenario, t_s, degc, rng)
-    every = slice(None, None, max(1, round(scenario.rate_hz / scenario.thermometer_rate_hz)))
-    temperature = TemperatureSamples(t_ns=t_ns[every], values=read[every], unit="degC")
+    temperature = _thermometer(scenario, t_ns, degc, rng)
     imu = ImuSamples(
         accelerometer=triad("accelerometer", "m/s^2"), gyroscope=triad("gyroscope", "rad/s"), temperature=temperature
     )

@@ -1,4 +1,4 @@
-"""Options of simulated warm-ups of an IMU at rest."""
+"""Options of simulated recordings of an IMU over its temperature."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,22 @@ from ..options import check_ranges
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemperatureScenario:
-    """Warm-ups of one IMU at rest, each from one switching-on, with its thermometer."""
+    """Recordings of one IMU over its temperature, each from one switching-on, with its thermometer."""
 
     recordings: int = 3
-    """Number of warm-ups."""
+    """How many."""
+
+    turned: bool = False
+    """Turn it from rest to rest, at one temperature in each recording, from start to end, instead of warm-ups."""
+
+    intervals: int = 30
+    """Rests of a recording in which it is turned."""
+
+    self_heating_k: float = 2.0
+    """By which it warms up while it is turned, in K."""
 
     duration_s: float = 1200.0
-    """Length of each in seconds."""
+    """Length of each warm-up in seconds."""
 
     rate_hz: float = 50.0
     """Sample rate."""
@@ -33,6 +42,15 @@ class TemperatureScenario:
 
     order: int = 2
     """Order of the polynomials of the biases, 0 to 3; their coefficients are drawn."""
+
+    sensitivity_order: int = 1
+    """The same of sensitivities, which show where it is turned."""
+
+    sensitivity: float = 1e-4
+    """Usual size of their first coefficients, relative, in 1/K."""
+
+    sensitivity_scatter: float = 1e-4
+    """Scatter of the sensitivities from one switching-on to the next, relative."""
 
     lag_s: float = 0.0
     """By which the thermometer follows the sensor, in seconds."""
@@ -56,11 +74,14 @@ class TemperatureScenario:
     """By how much more the gyroscope reads while the temperature rises than while it falls, in rad/s."""
 
     def __post_init__(self) -> None:
-        positive = "recordings duration_s rate_hz time_constant_s thermometer_rate_hz"
+        positive = "recordings intervals duration_s rate_hz time_constant_s thermometer_rate_hz"
         check_ranges(
             self,
             positive=positive,
-            not_negative="order lag_s step_k thermometer_noise gyroscope_turn_on accelerometer_turn_on",
+            not_negative="order sensitivity_order sensitivity sensitivity_scatter self_heating_k lag_s step_k "
+            "thermometer_noise gyroscope_turn_on accelerometer_turn_on",
         )
-        if self.order > 3:
-            raise OptionError(f"order {self.order}: polynomials of order 0 to 3 are drawn.")
+        if max(self.order, self.sensitivity_order) > 3:
+            raise OptionError(
+                f"order {max(self.order, self.sensitivity_order)}: polynomials of order 0 to 3 are drawn."
+            )

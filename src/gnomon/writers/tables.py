@@ -157,10 +157,13 @@ def _temperature_table(calibration: Calibration, name: str) -> ParameterRows | N
             np.ndindex(coefficients.shape), coefficients.flat, calibration.sigma(path).flat,
             element_units(calibration, path), strict=True,
         )  # fmt: skip
-        for (order, axis), value, sigma, unit in values:
-            rows.append(Row(name=f"{part}{order + 1}_{'xyz'[axis]}", value=written(value, sigma), unit=unit))
+        for (order, *axes), value, sigma, unit in values:
+            if sigma > 0 or value:
+                place = "".join("xyz"[axis] for axis in axes)
+                rows.append(Row(name=f"{part}{order + 1}_{place}", value=written(value, sigma), unit=unit))
     note = (
-        f"change of the bias: sum of the terms j times d^j, d = T - {found.reference_degc:g} degC; known from "
+        f"change of the bias, and that of the sensitivity relative to it: sum of the terms j times d^j, d = T - "
+        f"{found.reference_degc:g} degC; known from "
         f"{found.low_degc:.1f} to {found.high_degc:.1f} degC; lag of the thermometer {found.lag_s:.3g} s"
     )
     return ParameterRows(title=f"{name} over the temperature", note=note, rows=tuple(rows))

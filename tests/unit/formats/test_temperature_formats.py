@@ -22,6 +22,8 @@ FOUND = TemperatureDependence(
     lag_s=17.0,
     accelerometer_bias=np.array([[1e-3, -2e-3, 3e-3]]),
     gyroscope_bias=np.array([[1e-4, 2e-4, -3e-4], [1e-6, -2e-6, 3e-6], [4e-8, 5e-8, -6e-8]]),
+    accelerometer_sensitivity=np.tril(np.array([[[2e-4, 0, 0], [1e-5, -1e-4, 0], [2e-5, -3e-5, 3e-4]]])),
+    gyroscope_sensitivity=np.array([1e-4 * np.eye(3) + 1e-5, 2e-6 * np.eye(3) - 1e-7]),
 )
 DEGC = np.array([-20.0, -5.0, 0.0, 22.0, 40.0, 51.5, 80.0])
 
@@ -96,8 +98,27 @@ def test_the_c_header_takes_off_the_same(calibration, tmp_path):
     for degc in DEGC:
         accelerometer, gyroscope = (ctypes.c_float * 3)(0, 0, 0), (ctypes.c_float * 3)(0, 0, 0)
         run(accelerometer, gyroscope, ctypes.c_float(degc))
-        for values, part in ((accelerometer, "accelerometer_bias"), (gyroscope, "gyroscope_bias")):
-            assert np.allclose(-np.array(values), FOUND.change(part, np.array([degc]))[0], rtol=2e-6, atol=1e-9)
+        imu = calibration.imus["imu0"]
+        for values, name in ((accelerometer, "accelerometer"), (gyroscope, "gyroscope")):
+            wanted = FOUND.to_reference(name, np.zeros((1, 3)), np.array([degc]), getattr(imu, name).bias)
+            assert np.allclose(np.array(values), wanted[0], rtol=2e-6, atol=1e-7 * abs(wanted).max())
+
+
+def test_flight_controllers_say_that_they_know_biases_alone(calibration, tmp_path):
+    for program in ("px4", "ardupilot"):
+        losses = {loss.what for loss in gnomon.convert(calibration, program, tmp_path / program)}
+        assert "sensitivity over the temperature of imu0" in losses
+    losses = {loss.what for loss in gnomon.convert(calibration, "c-header", tmp_path / "c")}
+    assert "sensitivity over the temperature of imu0" not in losses
+
+
+def test_to_the_reference_and_back():
+    rng = np.random.default_rng(0)
+    values, bias = rng.normal(size=(len(DEGC), 3)), rng.normal(size=3)
+    for name in ("accelerometer", "gyroscope"):
+        there = FOUND.from_reference(name, values, DEGC, bias)
+        assert np.allclose(FOUND.to_reference(name, there, DEGC, bias), values, rtol=0, atol=1e-13)
+        assert np.abs(there - values).max() > 1e-3
 
 
 def test_programs_that_know_no_temperature_say_so(calibration, tmp_path):

@@ -29,12 +29,21 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
     else:
         findings.append(make_finding("temperature-range/good", low=low, high=high, most=result.supported_order))
     for name, triad in result.triads.items():
-        findings += [_order_finding(name, triad, result), *_branch_findings(name, triad), *_scatter(name, triad)]
+        findings += [_order_finding(name, triad, result), *_branch_findings(name, triad)]
+        if (off := _off(triad)) is not None:
+            axis, recording, z = off
+            findings.append(make_finding("warm-ups-differ", name=name, axis=axis, recording=recording, z=z))
+    for name, triad in result.sensitivities.items():
+        findings.append(_sensitivity_finding(name, triad, result))
+        if (off := _off(triad)) is not None:
+            axis, recording, z = off
+            findings.append(make_finding("sensitivities-differ", name=name, axis=axis, recording=recording, z=z))
     if result.lag_s:
         findings.append(make_finding("thermometer-lag", lag=result.lag_s, sigma=result.lag_sigma_s))
     if len(result.names) == 1:
         findings.append(make_finding("turn-on-unknown"))
-    if "accelerometer" in result.triads and result.triads["accelerometer"].order:
+    one_attitude = "accelerometer" not in result.sensitivities
+    if one_attitude and "accelerometer" in result.triads and result.triads["accelerometer"].order:
         findings.append(make_finding("one-attitude"))
     if result.nominal:
         findings.append(make_finding("sensor-nominal"))
@@ -59,6 +68,16 @@ def _order_finding(name: str, triad: TriadOverTemperature, result: TemperatureRe
         unit=unit,
         range=result.high_degc - result.low_degc,
     )
+
+
+def _sensitivity_finding(name: str, triad: TriadOverTemperature, result: TemperatureResult) -> Finding:
+    span = result.high_degc - result.low_degc
+    if not triad.order:
+        sigma = max(float(np.sqrt(np.mean(axis.values**2))) for axis in triad.axes)
+        return make_finding("temperature-scale/none", name=name, scatter=sigma, range=span)
+    change = max(float(np.ptp(axis.change)) for axis in triad.axes)
+    sigma = max(float(np.hypot(axis.sigma[0], axis.sigma[-1])) for axis in triad.axes)
+    return make_finding("temperature-scale/found", name=name, order=triad.order, change=change, sigma=sigma, range=span)
 
 
 def _per_range(triad: TriadOverTemperature) -> list[float]:
@@ -86,14 +105,10 @@ def _branch_findings(name: str, triad: TriadOverTemperature) -> list[Finding]:
     ]
 
 
-def _scatter(name: str, triad: TriadOverTemperature) -> list[Finding]:
-    """Say that warm-ups differ by more than the others foretell."""
+def _off(triad: TriadOverTemperature) -> tuple[str, int, float] | None:
+    """Return which axis of which recording lies off what the others foretell, and by how many sigmas, or None."""
     z = triad.left_out_z
-    if not np.isfinite(z).any() or float(np.nanmax(z)) < _OFF_Z:
-        return []
-    recording, axis = np.unravel_index(int(np.nanargmax(z)), z.shape)
-    return [
-        make_finding(
-            "warm-ups-differ", name=name, axis="xyz"[axis], recording=int(recording) + 1, z=float(np.nanmax(z))
-        )
-    ]
+    if not np.isfinite(z).any() or float(np.nanmax(np.abs(z))) < _OFF_Z:
+        return None
+    recording, axis = np.unravel_index(int(np.nanargmax(np.abs(z))), z.shape)
+    return "xyz"[axis], int(recording) + 1, float(np.nanmax(np.abs(z)))

@@ -16,6 +16,8 @@ TRIADS = ("gyroscope", "accelerometer")
 _BIN_S, _BINS = 5.0, (20, 90)
 _STILL_RAD = np.radians(5.0)
 _MOST_STIRRED = 0.5
+_TURNED_RAD, _TURNED = np.radians(30.0), 0.2
+"""Angle from the usual attitude, and share of the time, from which on a sensor was turned from rest to rest."""
 
 
 @value_class
@@ -42,7 +44,7 @@ class RestRecordings:
         return [_warm_up(one, bins, lag_s) for one, bins in zip(self.samples, self.bins, strict=True)]
 
 
-def sensor_at_rest(name: str, recording: Recording) -> ImuSamples:
+def sensor_with_thermometer(name: str, recording: Recording) -> ImuSamples:
     """Return the IMU of a recording, which has to have a thermometer.
 
     Raises
@@ -61,6 +63,13 @@ def sensor_at_rest(name: str, recording: Recording) -> ImuSamples:
     if not any(len(getattr(imu, triad)) for triad in TRIADS):
         raise RecordingError(f"{name}: there are no samples of a gyroscope or an accelerometer in it.")
     return imu
+
+
+def is_turned(imu: ImuSamples) -> bool:
+    """Return whether a sensor was turned from rest to rest, so that its sensitivity shows."""
+    if not len(imu.accelerometer):
+        return False
+    return float(np.mean(_angles(_table(imu, "accelerometer").mean) > _TURNED_RAD)) > _TURNED
 
 
 def average_at_rest(name: str, imu: ImuSamples) -> RestBins:
@@ -139,15 +148,21 @@ def _averaged(table: RestTable, stirred: Booleans, edges_s: Floats) -> _Averaged
 
 
 def _require_one_attitude(name: str, means: Floats, since_s: Floats) -> None:
-    directions = means / np.linalg.norm(means, axis=1, keepdims=True)
-    middle = np.median(directions, axis=0)
-    angles = np.arccos(np.clip(directions @ (middle / np.linalg.norm(middle)), -1, 1))
+    angles = _angles(means)
     if (turned := np.flatnonzero(angles > _STILL_RAD)).size:
         raise RecordingError(
             f"{name}: the sensor is turned by {np.degrees(angles.max()):.0f} deg, such as "
             f"{since_s[turned[0]]:.0f} s after the start. A warm-up is recorded at rest in one attitude; cut "
-            "the rest away (--start-s, --stop-s)."
+            "the rest away (--start-s, --stop-s). Recordings in which it is turned have to be three or more, each at a "
+            "temperature of its own."
         )
+
+
+def _angles(means: Floats) -> Floats:
+    """Return how far means (n, 3) of an accelerometer point away from the usual direction (n,) [rad]."""
+    directions = means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-300)
+    middle = np.median(directions, axis=0)
+    return np.asarray(np.arccos(np.clip(directions @ middle / max(float(np.linalg.norm(middle)), 1e-300), -1, 1)))
 
 
 def _warm_up(imu: ImuSamples, bins: RestBins, lag_s: float) -> WarmUp:

@@ -24,14 +24,16 @@ _VERDICTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Temperature(Command, TableOptions):
-    """Find how the biases of an IMU change with its temperature, from recordings at rest while it warms up.
+    """Find how biases and scales of an IMU change with its temperature, from warm-ups at rest or turned recordings.
 
-    Switch the cold sensor on, such as from the freezer in a closed bag, and let it lie at rest until it is warm; three
-    times. The recordings need the chip's thermometer. What is found is added to a calibration of the sensor.
+    Biases: switch the cold sensor on, such as from the freezer in a closed bag, and let it lie at rest until it is
+    warm; three times. Scales and axes: turn it from rest to rest, as for gnomon imu, at three temperatures or more.
+    Both may be given together. The recordings need the chip's thermometer.
 
     Examples
     --------
     $ gnomon temperature monday.csv tuesday.csv --calibration board-imu --reference-degc 31
+    $ gnomon temperature cold.csv room.csv warm.csv
     """
 
     recordings: Annotated[tuple[Path, ...], Argument(positional=True)]
@@ -82,6 +84,7 @@ def _numbers(result: "TemperatureResult") -> dict[str, object]:
     assert found is not None
     return {
         "orders": {name: triad.order for name, triad in result.triads.items()},
+        "sensitivity_orders": {name: triad.order for name, triad in result.sensitivities.items()},
         "lag_s": result.lag_s,
         "lag_sigma_s": result.lag_sigma_s,
         "reference_degc": found.reference_degc,
@@ -106,15 +109,16 @@ def _print(result: "TemperatureResult", terminal: Terminal) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateTemperature(Command):
-    """Make recordings of a simulated IMU at rest that warms up, with its thermometer, and print the truth.
+    """Make recordings of a simulated IMU over its temperature, with its thermometer, and print the truth.
 
     Examples
     --------
     $ gnomon simulate temperature -o warm-ups --lag-s 20
+    $ gnomon simulate temperature -o oven --turned
     """
 
     output: Annotated[Path, output_option("DIR")]
-    """Folder for warm-up-1.npz and the others."""
+    """Folder for warm-up-1.npz, or turned-1.npz, and the others."""
     seed: Seed = 0
     scenario: Annotated[TemperatureScenario, Flat] = field(default_factory=TemperatureScenario)
 
@@ -125,7 +129,8 @@ class SimulateTemperature(Command):
 
         terminal.progress("simulating")
         made = simulate_temperature(self.scenario, self.seed)
-        names = tuple(f"warm-up-{i}.npz" for i in range(1, len(made.recordings) + 1))
+        kind = "turned" if self.scenario.turned else "warm-up"
+        names = tuple(f"{kind}-{i}.npz" for i in range(1, len(made.recordings) + 1))
         with result_folder(self.output, own=names) as staging:
             for name, recording in zip(names, made.recordings, strict=True):
                 save_recording(recording, staging / name)

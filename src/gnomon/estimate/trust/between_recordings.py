@@ -1,9 +1,11 @@
-"""One sensor from several recordings: the mean, and how much the sensor changes from one recording to the next.
+"""One sensor from several recordings: the mean, or a polynomial, and how much it changes from one to the next.
 
 Recording i gives an estimate y_i with covariance V_i. The sensor itself is another one each time (it was switched on
 anew, has another temperature, sits otherwise in its box):
 
     y_i ~ N(theta, V_i + T),   T = diag(tau_b^2), one tau for each block b of like scalars
+
+Where something known explains a part of it, such as the temperature, theta is X_i beta instead, with powers of that.
 
 This is the random-effects model of meta-analysis (DerSimonian and Laird 1986, multivariate: White 2009). With two to
 six recordings a point estimate of tau claims too much (and is often zero). Each tau^2 is therefore taken by its
@@ -44,6 +46,24 @@ class RecordingBlock:
 
 
 @value_class
+class RegressedEstimate:
+    """What several recordings say together of polynomials.
+
+    Attributes
+    ----------
+    start : (n + 1,) where the coefficients of each scalar begin, that of the power 0 first
+    coefficients : (p,)
+    covariance : (p, p) of these
+    scatter : (n,) standard deviation from recording to recording
+    """
+
+    start: Integers
+    coefficients: Floats
+    covariance: Floats
+    scatter: Floats
+
+
+@value_class
 class JoinedEstimate:
     """What several recordings say together.
 
@@ -73,15 +93,42 @@ def join_estimates(values: Floats, covariances: Floats, blocks: Sequence[Recordi
     covariances : (k, n, n) without what all share, positive definite
     blocks : each scalar is in one of them
     """
+    found = regress_estimates(values, covariances, blocks, [np.ones((len(values), 1))] * len(blocks))
+    return JoinedEstimate(mean=found.coefficients, mean_covariance=found.covariance, scatter=found.scatter)
+
+
+def regress_estimates(
+    values: Floats, covariances: Floats, blocks: Sequence[RecordingBlock], powers: Sequence[Floats]
+) -> RegressedEstimate:
+    """Join the estimates of several recordings that differ by something known.
+
+    Parameters
+    ----------
+    values, covariances, blocks : as for `join_estimates`
+    powers : of each block, (k, 1 + order) of what is known of each recording, ones first
+    """
     within = np.array([_positive_definite(one) for one in covariances])
-    variance = np.zeros(values.shape[1])
-    for block in blocks:
+    n = values.shape[1]
+    variance, each = np.zeros(n), np.ones(n, dtype=np.int64)
+    for block, own in zip(blocks, powers, strict=True):
         part = within[:, block.index[:, None], block.index]
-        variance[block.index] = _between(values[:, block.index], part, block.usual)
+        variance[block.index] = _between(values[:, block.index], part, block.usual, own)
+        each[block.index] = own.shape[1]
+    start = np.concatenate([[0], np.cumsum(each)])
+    X = np.zeros((len(values), n, start[-1]))
+    for block, own in zip(blocks, powers, strict=True):
+        for scalar in block.index:
+            X[:, scalar, start[scalar] : start[scalar + 1]] = own
     weights = np.linalg.inv(within + np.diag(variance))
-    mean_covariance = np.linalg.inv(weights.sum(axis=0))
-    mean = mean_covariance @ np.einsum("kij,kj->i", weights, values)
-    return JoinedEstimate(mean=mean, mean_covariance=mean_covariance, scatter=np.sqrt(variance))
+    covariance = _inverse(np.einsum("kip,kij,kjq->pq", X, weights, X, optimize=True))
+    found = covariance @ np.einsum("kip,kij,kj->p", X, weights, values, optimize=True)
+    return RegressedEstimate(start=start, coefficients=found, covariance=covariance, scatter=np.sqrt(variance))
+
+
+def _inverse(normal: Floats) -> Floats:
+    """Return the inverse of a matrix whose rows may be of different units."""
+    scale = 1 / np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def _positive_definite(covariance: Floats) -> Floats:
@@ -91,16 +138,19 @@ def _positive_definite(covariance: Floats) -> Floats:
     return (axes * np.maximum(size, _LEAST_CORRELATION)) @ axes.T * np.outer(sigma, sigma)
 
 
-def _between(values: Floats, within: Floats, usual: float) -> float:
-    """Return the posterior mean of tau^2 of one block, (k, m) values and (k, m, m) covariances."""
+def _between(values: Floats, within: Floats, usual: float, powers: Floats) -> float:
+    """Return the posterior mean of tau^2 of one block, (k, m) values, (k, m, m) covariances and (k, p) powers."""
+    powers = powers / np.maximum(np.abs(powers).max(axis=0), 1e-300)
     sizes = np.linalg.eigvalsh(within)
     least = _LEAST * min(usual**2, float(sizes.min()))
     most = _MOST * max(usual**2, float(sizes.max()), float(values.var(axis=0, ddof=1).max()))
     grid = np.geomspace(least, most, _NODES)
     weights = np.linalg.inv(within + grid[:, None, None, None] * np.eye(values.shape[1]))  # (node, k, m, m)
-    total = weights.sum(axis=1)
-    mean = np.linalg.solve(total, np.einsum("akij,kj->ai", weights, values)[..., None])[..., 0]
-    off = values - mean[:, None, :]
+    count = powers.shape[1] * values.shape[1]
+    total = np.einsum("kp,kq,akij->apiqj", powers, powers, weights, optimize=True).reshape(_NODES, count, count)
+    target = np.einsum("kp,akij,kj->api", powers, weights, values, optimize=True).reshape(_NODES, count, 1)
+    found = np.linalg.solve(total, target).reshape(_NODES, powers.shape[1], -1)
+    off = values - np.einsum("kp,api->aki", powers, found)
     log = 0.5 * np.linalg.slogdet(weights)[1].sum(axis=1) - 0.5 * np.linalg.slogdet(total)[1]
     log -= 0.5 * np.einsum("aki,akij,akj->a", off, weights, off)
     log -= 1.5 * np.log(grid) + usual**2 / grid

@@ -396,7 +396,9 @@ def _temperature(node: Node) -> TemperatureDependence:
     if not low < high:
         raise keys["high_degc"].fail("the range ends at or below its begin.")
     parts = {
-        name: np.array([row.floats(3) for row in keys[name].items()]) for name in TEMPERATURE_PARTS if name in keys
+        name: np.array([row.floats(*shape) for row in keys[name].items()])
+        for name, shape in TEMPERATURE_PARTS.items()
+        if name in keys
     }
     return TemperatureDependence(reference_degc=reference, low_degc=low, high_degc=high, lag_s=lag, **parts)
 

@@ -125,7 +125,9 @@ _TEMPERATURE = """\
 #
 # Temperature: sensitivities and biases hold at reference_degc. With d = T - reference_degc, in sensor axes and row j
 # for d^j, gyroscope_bias and accelerometer_bias (unit/K^j) are added to the bias, from low_degc to high_degc; beyond
-# at the nearer end. lag_s: the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x, in s.
+# at the nearer end. What is beside the bias is multiplied by 1 + the sum of gyroscope_sensitivity and
+# accelerometer_sensitivity (1/K^j) in the same way: measured = (1 + D) (sensitivity @ f) + bias.
+# lag_s: the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x, in s.
 #
 """
 

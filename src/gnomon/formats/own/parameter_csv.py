@@ -114,11 +114,11 @@ class _Table:
             return None
         reference, low, high, lag = (float(self.words(f"{name}.temperature.{key}")) for key in TEMPERATURE_NUMBERS)
         parts: dict[str, Floats] = {}
-        for part in TEMPERATURE_PARTS:
-            path = f"{name}.temperature.{part}"
-            order = sum(f"{path}[{j},0]" in self.rows for j in range(HIGHEST_ORDER))
+        for part, shape in TEMPERATURE_PARTS.items():
+            path, first = f"{name}.temperature.{part}", ",0" * len(shape)
+            order = sum(f"{path}[{j}{first}]" in self.rows for j in range(HIGHEST_ORDER))
             if order:
-                parts[part] = self.take(path, (order, 3))[0]
+                parts[part] = self.take(path, (order, *shape))[0]
         return TemperatureDependence(reference_degc=reference, low_degc=low, high_degc=high, lag_s=lag, **parts)
 
     def placed(self, name: str) -> dict[str, Any]:

@@ -41,6 +41,7 @@ class Holds:
     samples_in_si : whether samples have to be in m/s^2 and rad/s, so that counts need a conversion
     sensitivity, bias, g_sensitivity, lever_arms, accelerometer_clock, magnetometer, temperature : whether there is a
         key
+    temperature_scale : whether there is one of what the temperature does to sensitivities
     ideal_gyroscope : whether an ideal gyroscope stands in where none was calibrated
     time_shift : "each" camera has one, "one" for all, or "none"
     k3 : whether radtan may have a third radial coefficient
@@ -63,6 +64,7 @@ class Holds:
     accelerometer_clock: bool = False
     magnetometer: bool = False
     temperature: bool = False
+    temperature_scale: bool = False
     ideal_gyroscope: bool = False
     time_shift: Literal["each", "one", "none"] = "each"
     k3: bool = True
@@ -128,6 +130,11 @@ def _temperature_losses(name: str, found: TemperatureDependence, holds: Holds) -
     if found.lag_s and parts:
         why = f"{holds.program} takes the thermometer's reading, which follows the sensor by {found.lag_s:.0f} s."
         yield Loss(what=f"lag of the thermometer of {name}", why=why)
+    if not holds.temperature_scale and any(part.endswith("_sensitivity") for part in parts):
+        only = f"Scales and axes are right at {found.reference_degc:g} degC; gnomon apply and the C header know all."
+        yield Loss(
+            what=f"sensitivity over the temperature of {name}", why=f"{holds.program} knows that of biases. {only}"
+        )
 
 
 def _camera_losses(calibration: Calibration, holds: Holds) -> Iterator[Loss]:
