@@ -47,8 +47,8 @@ def imu(topic, t_ns, gyro=(0.1, 0.2, 0.3), accel=(0.0, 0.1, 9.8), *, missing=(),
     )
 
 
-def other(topic, t_ns) -> Message:
-    return Message(topic, "Temperature", t_ns, {"temperature": 20.0, "variance": 0.0})
+def other(topic, t_ns, degc=20.0) -> Message:
+    return Message(topic, "Temperature", t_ns, {"temperature": degc, "variance": 0.0})
 
 
 def _object(types, message, form):

@@ -49,9 +49,16 @@ TEMPERATURE_UNITS_DEGC: dict[str, tuple[float, float] | None] = {
     "degC": (1.0, 0.0),
     "K": (1.0, -273.15),
     "degF": (5 / 9, -160 / 9),
+    "MPU-6050 count": (1 / 340, 36.53),
+    "MPU-9250 count": (1 / 333.87, 21.0),
+    "ICM-20948 count": (1 / 333.87, 21.0),
+    "ICM-42688 count": (1 / 132.48, 25.0),
+    "LSM6DSO count": (1 / 256, 25.0),
+    "BMI270 count": (1 / 512, 23.0),
+    "BMI088 count": (0.125, 23.0),
     "count": None,
 }
-"""Factor and offset that make degrees Celsius of a value; None where the thermometer's data sheet must tell."""
+"""Factor and offset that make degrees Celsius of a value, of chips by their data sheets; None where nobody tells."""
 
 TIME_UNITS_NS: dict[str, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """One unit in nanoseconds."""

@@ -91,7 +91,7 @@ class TemperatureSamples:
     values : (n,) float64 [unit]
         As recorded.
     unit : str
-        "degC", "K", "degF" or "count".
+        "degC", "K", "degF", "count", or the counts of a chip that is known, such as "MPU-6050 count".
 
     Raises
     ------

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bag_maker import FORMS, T0, imu, make_bag, other
 from gnomon import read
 from gnomon.recording import Recording, TemperatureSamples
 from gnomon.writers.recording_file import save_recording
@@ -29,6 +30,10 @@ def table(path, header, temperature):
         ("temp", 24.5, "degC", 24.5),
         ("temp", 297.65, "K", 24.5),
         ("temp", -4100, "count", None),
+        ("temp_raw", 24.5, "count", None),
+        ("temp_mpu6050", -4090, "MPU-6050 count", -4090 / 340 + 36.53),
+        ("temperature [MPU-6000]", -4090, "MPU-6050 count", -4090 / 340 + 36.53),
+        ("temp_icm42688", 53, "ICM-42688 count", 53 / 132.48 + 25),
     ],
 )
 def test_units_of_temperatures(tmp_path, header, value, unit, celsius) -> None:
@@ -91,3 +96,31 @@ def test_the_thermometer_in_a_log_of_px4(tmp_path) -> None:
     found = read(tmp_path / "log.ulg").imus["imu0"].temperature
     np.testing.assert_array_equal(found.values, 30 + np.arange(100) / 4)
     np.testing.assert_array_equal(found.t_ns, 20_000_000 * np.arange(100))
+
+
+def test_of_two_columns_the_first_is_used_and_both_are_named(tmp_path) -> None:
+    recording = read(table(tmp_path / "log.csv", "temp_degC,board_temp_degC", lambda i: f"{i % 2},90"), units="si")
+    assert recording.imus["imu0"].temperature.values.max() == 1
+    assert any("temp_degC, board_temp_degC" in note for note in recording.assumptions)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_thermometer_in_a_bag(tmp_path, form) -> None:
+    messages = [imu("/imu/data", T0 + i * 5_000_000, (0, 0, 0.01 * (i % 2)), (0, 0, 9.81)) for i in range(400)]
+    for topic, start in (("/imu/temperature", 30.0), ("/outside/temperature", -3.0)):
+        messages += [other(topic, T0 + i * 500_000_000, start + i) for i in range(4)]
+    messages.append(other("/imu/temperature", T0 + 4 * 500_000_000, float("nan")))
+    recording = read(make_bag(tmp_path, form, sorted(messages, key=lambda one: one.t_ns)))
+    found = recording.imus["imu0"].temperature
+    assert found.unit == "degC"
+    np.testing.assert_array_equal(found.values, [30.0, 31.0, 32.0, 33.0])
+    np.testing.assert_array_equal(found.t_ns, T0 + 500_000_000 * np.arange(4))
+    assert any("/outside/temperature" in note for note in recording.assumptions)
+
+
+def test_a_thermometer_elsewhere_is_not_the_imus(tmp_path) -> None:
+    messages = [imu("/imu/data", T0 + i * 5_000_000, (0, 0, 0.01), (0, 0, 9.81)) for i in range(100)]
+    messages += [other("/weather/temperature", T0 + i * 100_000_000) for i in range(4)]
+    recording = read(make_bag(tmp_path, "ros2", sorted(messages, key=lambda one: one.t_ns)))
+    assert recording.imus["imu0"].temperature is None
+    assert any("/weather/temperature" in note for note in recording.assumptions)

@@ -4,7 +4,7 @@ Timestamps are those of the messages' headers; the times of receipt are kept bes
 once, images when they are asked for. A bag that ends early is read as far as it goes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -22,9 +22,9 @@ from ..files import file_source
 from ..images.image_pixels import compressed_image, grey_image
 from ..rig.imu_stream import in_order
 from ..samples.recognise import IN_MOTION
-from .messages import COMPRESSED_IMAGE, IMAGE, Wire, compressed_message, image_message, stamp_ns
+from .messages import COMPRESSED_IMAGE, IMAGE, TEMPERATURE, Wire, compressed_message, image_message, stamp_ns
 from .storage import Bag, BrokenBagError, Topic, bag_parts, looks_like_bag, open_indexed, open_sequential
-from .survey import ImageTrack, ImuTrack, imu_samples, settle_times, survey_topics
+from .survey import ImageTrack, ImuTrack, Track, imu_samples, settle_times, survey_topics
 from .topics import (
     Pair,
     Triads,
@@ -34,6 +34,7 @@ from .topics import (
     imu_candidates,
     imu_topics,
     list_topics,
+    thermometer_topic,
     usable_topics,
 )
 
@@ -143,15 +144,23 @@ def _recording(
             f"table of them. It holds:\n{list_topics(bag)}"
         )
     hashed = hashing()  # from here on the whole bag is read anyhow
-    images, samples = survey_topics(bag, cameras, candidates)
-    _check_complete([*images.values(), *samples.values()])
+    thermometers = usable_topics(bag, (TEMPERATURE,)) if candidates else []
+    images, samples, warmth = survey_topics(bag, cameras, candidates, thermometers)
+    _check_complete([*images.values(), *samples.values(), *warmth.values()])
     triads = {name: track.triads() for name, track in samples.items()}
     pairs = _imu_pairs(bag, triads, order, notes) if triads else {}
     used = [samples[topic.name] for pair in pairs.values() for topic in dict.fromkeys(pair)]
-    settle_times([*images.values(), *used], notes)
+    of = {name: thermometer_topic(thermometers, common_topic(pair), notes) for name, pair in pairs.items()}
+    own = {name: warmth[topic.name] for name, topic in of.items() if topic is not None}
+    settle_times([*images.values(), *used, *{track.topic.name: track for track in own.values()}.values()], notes)
     arrivals = {name: samples[gyroscope.name].arrivals() for name, (_, gyroscope) in pairs.items()}
     return ImageRecording(
-        imus={name: _imu(name, pair, samples, order, notes) for name, pair in pairs.items()},
+        imus={
+            name: replace(
+                _imu(name, pair, samples, order, notes), temperature=own[name].samples() if name in own else None
+            )
+            for name, pair in pairs.items()
+        },
         streams={name: _stream(bag, topic, images[topic.name], notes) for name, topic in cameras.items()},
         sources=hashed.result(),
         assumptions=tuple(notes),
@@ -170,7 +179,7 @@ def _imu_pairs(bag: Bag, triads: Mapping[str, Triads], order: _Order, notes: lis
         return {}
 
 
-def _check_complete(tracks: list[ImageTrack | ImuTrack]) -> None:
+def _check_complete(tracks: Sequence[Track]) -> None:
     """Hold what was read against what the index says; parsers pass over damaged places without a word."""
     for track in tracks:
         found = len(track.received) + track.damaged

@@ -20,6 +20,7 @@ Wire = Literal["ros1", "cdr"]
 """How a message is laid out: by ROS 1, or as CDR by ROS 2."""
 
 IMAGE, COMPRESSED_IMAGE, IMU = "sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/Imu"
+TEMPERATURE = "sensor_msgs/Temperature"
 
 # Both layouts begin with four bytes (ROS 1: a counter, CDR: what kind of CDR it is), then seconds, nanoseconds, and the
 # length and characters of frame_id.
@@ -60,11 +61,14 @@ class _Fields:
         self.text()
 
     def number(self, form: str, size: int) -> int:
+        return int(self.value(form, size))
+
+    def value(self, form: str, size: int) -> float:
         if self.wire == "cdr":
             self.at += -(self.at - 4) % size
         (value,) = struct.unpack_from(f"{self.order}{form}", self.data, self.at)
         self.at += size
-        return int(value)
+        return value
 
     def bytes(self) -> memoryview:
         length = self.number("I", 4)
@@ -75,6 +79,14 @@ class _Fields:
 
     def text(self) -> str:
         return bytes(self.bytes()).rstrip(b"\0").decode("utf-8", errors="replace")
+
+
+def temperature_message(data: bytes, wire: Wire) -> float | None:
+    """Return what a sensor_msgs/Temperature says [degC]; None where the bytes are no such message."""
+    try:
+        return _Fields(data, wire).value("d", 8)
+    except (struct.error, _DamagedError):
+        return None
 
 
 def image_message(data: bytes, wire: Wire, where: str) -> RawImage:

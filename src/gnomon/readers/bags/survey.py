@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import Floats, ImuSamples, Integers, TriadSamples
+from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
 from ...recording.images import Arrivals
 from ..images.image_pixels import (
     bit_depth,
@@ -18,7 +18,16 @@ from ..images.image_pixels import (
     largest_value,
     sixteen_bits,
 )
-from .messages import COMPRESSED_IMAGE, ImuBlock, Wire, compressed_message, image_message, imu_block, stamp_ns
+from .messages import (
+    COMPRESSED_IMAGE,
+    ImuBlock,
+    Wire,
+    compressed_message,
+    image_message,
+    imu_block,
+    stamp_ns,
+    temperature_message,
+)
 from .storage import Bag, BrokenBagError, Topic
 from .topics import Triads
 
@@ -159,6 +168,33 @@ class ImuTrack(Track):
         return TriadSamples(t_ns=t_ns[there], values=values[keep][there], unit=unit)
 
 
+@dataclass(slots=True, kw_only=True)
+class ThermometerTrack(Track):
+    """The readings of one topic."""
+
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def add(self, data: bytes, received_ns: int) -> None:
+        """Take the next message."""
+        stamp, value = stamp_ns(data, self.wire), temperature_message(data, self.wire)
+        if stamp is None or value is None:
+            self.damaged += 1
+            return
+        self.stamps.append(stamp)
+        self.received.append(received_ns)
+        self.values.append(value)
+
+    def samples(self) -> TemperatureSamples | None:
+        """Return the readings that are numbers, in the order of time; None of fewer than two."""
+        stamps, received = self.times()
+        values = np.array(self.values)[self.used(np.array(self.stamps, np.int64))]
+        t_ns = received if self.by_receipt else stamps
+        order = np.argsort(t_ns, kind="stable")[np.isfinite(values[np.argsort(t_ns, kind="stable")])]
+        if len(order) < 2:
+            return None
+        return TemperatureSamples(t_ns=t_ns[order], values=values[order], unit="degC")
+
+
 def imu_samples(accelerometer: ImuTrack, gyroscope: ImuTrack, topic: str) -> ImuSamples:
     """Return the samples of an IMU whose triads may come in topics of their own."""
     return ImuSamples(
@@ -167,8 +203,8 @@ def imu_samples(accelerometer: ImuTrack, gyroscope: ImuTrack, topic: str) -> Imu
 
 
 def survey_topics(
-    bag: Bag, cameras: Mapping[str, Topic], imus: list[Topic]
-) -> tuple[dict[str, ImageTrack], dict[str, ImuTrack]]:
+    bag: Bag, cameras: Mapping[str, Topic], imus: list[Topic], thermometers: list[Topic]
+) -> tuple[dict[str, ImageTrack], dict[str, ImuTrack], dict[str, ThermometerTrack]]:
     """Pass once over a bag, and return what was found of each topic, by its name.
 
     Raises
@@ -184,7 +220,11 @@ def survey_topics(
         images[topic.name] = ImageTrack(where=f"{bag.name}: {topic.name}", topic=topic, wire=topic.wire or "cdr")
     for topic in imus:
         samples[topic.name] = ImuTrack(where=f"{bag.name}: {topic.name}", topic=topic, wire=topic.wire or "cdr")
-    tracks: dict[str, ImageTrack | ImuTrack] = {**images, **samples}
+    warmth = {
+        topic.name: ThermometerTrack(where=f"{bag.name}: {topic.name}", topic=topic, wire=topic.wire or "cdr")
+        for topic in thermometers
+    }
+    tracks: dict[str, ImageTrack | ImuTrack | ThermometerTrack] = {**images, **samples, **warmth}
     try:
         for record in bag.messages(tracks.keys()):
             tracks[record.channel.topic].add(record.data, record.received_ns)
@@ -192,7 +232,7 @@ def survey_topics(
             track.finish()
     except OverflowError as error:
         raise BrokenBagError(f"a time of receipt that does not fit 64 bits ({error})") from None
-    return images, samples
+    return images, samples, warmth
 
 
 def settle_times(tracks: list[Track], notes: list[str]) -> None:

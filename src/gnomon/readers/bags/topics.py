@@ -171,6 +171,26 @@ def _sides(topics: list[Topic]) -> list[Topic] | None:
     return [sides[0], sides[1]] if len(topics) == 2 and set(sides) == {0, 1} and sides[0] != sides[1] else None
 
 
+def thermometer_topic(thermometers: Sequence[Topic], imu: str, notes: list[str]) -> Topic | None:
+    """Return, of the topics of thermometers, the one of an IMU; None where none is named like it.
+
+    Parameters
+    ----------
+    imu : topic of the IMU
+    notes : where a sentence on what was chosen is appended
+    """
+    parent = imu.rpartition("/")[0] or imu  # "/imu/data" and "/imu/temperature", "/imu0" and "/imu0/temperature"
+    own = [topic for topic in thermometers if topic.name.startswith((f"{parent}/", f"{imu}/", f"{imu}_"))]
+    if not own and len(thermometers) == 1 and "imu" in thermometers[0].name.lower():
+        own = list(thermometers)
+    left = [topic.name for topic in thermometers if topic not in own[:1]]
+    if left:
+        notes.append(f"thermometers that were left out, as not of {imu} by their names: {', '.join(left)}.")
+    if own:
+        notes.append(f"{own[0].name} is the thermometer of {imu}, by its name.")
+    return own[0] if own else None
+
+
 def imu_candidates(bag: Bag, stated: Mapping[str, str]) -> list[Topic]:
     """Return the topics that have to be read to find the IMUs.
 

@@ -36,6 +36,7 @@ def read_imu_bag(path: Path) -> DeviceLog:
         accelerometer=_stamped(samples.accelerometer, "accelerometer"),
         gyroscope=_stamped(samples.gyroscope, "gyroscope"),
         magnetometer=None,
+        temperature=samples.temperature,
         sources=recording.sources,
         notes=recording.assumptions,
     )

@@ -58,6 +58,10 @@ _UNITS: dict[str, dict[str, str]] = {
         **dict.fromkeys(_words("c degc celsius degcelsius degreec degreescelsius"), "degC"),
         **dict.fromkeys(_words("k kelvin"), "K"),
         **dict.fromkeys(_words("f degf fahrenheit degfahrenheit"), "degF"),
+        **dict.fromkeys(_words("mpu6050 mpu6000"), "MPU-6050 count"),
+        **dict.fromkeys(_words("mpu9250 mpu9255"), "MPU-9250 count"),
+        **{f"{chip.lower()}{number}": f"{chip}-{number} count" for chip, number in (("ICM", 20948), ("ICM", 42688))},
+        **{chip.lower(): f"{chip} count" for chip in ("LSM6DSO", "BMI270", "BMI088")},
         **_COUNT,
     },
     "time": {
@@ -292,7 +296,8 @@ def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str)
         advice = columns_help(layout, quantities)
         raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {advice}")
     warmth = [(i, n.unit) for i, n in enumerate(names) if n.quantity == "temperature"]
-    notes = [f"{where}: several temperatures; the first one is used."] if len(warmth) > 1 else []
+    called = [layout.header[i] if i < len(layout.header) else f"column {i + 1}" for i, _ in warmth]
+    notes = [f"{where}: {len(called)} temperatures ({', '.join(called)}); {called[0]} is used."] if called[1:] else []
     return Roles(
         time=time_columns(names, layout),
         triads=tuple(named),

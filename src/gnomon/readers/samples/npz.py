@@ -10,7 +10,7 @@
     rate_hz                ()      instead of timestamps
     unit_accelerometer     "m/s^2", "g", "mg" or "count"; recognised where it is missing
     unit_gyroscope         "rad/s", "deg/s", "mdeg/s" or "count"; recognised where it is missing
-    unit_temperature       "degC", "K", "degF" or "count"; recognised where it is missing
+    unit_temperature       "degC", "K", "degF", "count" or such as "MPU-6050 count"; recognised where it is missing
     unit_magnetometer      "uT", "nT", "T", "gauss", "mgauss" or "count"; recognised where it is missing
 
 Keys of a second IMU begin with "imu1.", such as "imu1.accelerometer", and so on; "imu0." may be left out.
