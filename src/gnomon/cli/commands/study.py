@@ -93,6 +93,14 @@ def _angrisano() -> StudyFunctions:
     )
 
 
+def _circuit() -> StudyFunctions:
+    from ...report.studies.circuit import circuit_page
+    from ...study.circuit import study_circuit
+    from ...study.circuit_claims import circuit_claims, circuit_tables
+
+    return StudyFunctions(carry_out=study_circuit, claims=circuit_claims, tables=circuit_tables, page=circuit_page)
+
+
 def _krebs() -> StudyFunctions:
     from ...report.studies.krebs import krebs_page
     from ...study.krebs import study_krebs
@@ -137,6 +145,15 @@ STUDIES: Mapping[str, StudyEntry] = {
         tables=("claims", "parameters", "runs", "starts", "iterations"),
         load=_angrisano,
     ),
+    "circuit": StudyEntry(
+        about="odometry on walks of 60 to 120 m: what calibrations of different depth, and errors of each part, cost",
+        counted="rigs, each with a walk",
+        runs=30,
+        minutes=30,
+        stages=("rig", "walk with parts off", "walk at the limits"),
+        tables=("claims", "levels", "walks", "parts"),
+        load=_circuit,
+    ),
 }
 """The studies by their names."""
 PAGE = "study.html"
@@ -145,7 +162,7 @@ _OLD_JOURNAL = "unfinished.journal"  # of gnomon before studies kept it
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Command):
-    """Repeat a published experiment many times with simulated sensors, and say whether its claims hold.
+    """Repeat an experiment many times with simulated sensors, and say whether what is claimed holds.
 
     A study that was interrupted goes on where it was when the same command is given again. Without a name, list the
     studies and what they cost.
@@ -160,7 +177,8 @@ class Study(Command):
         str | None,
         Argument(positional=True, metavar=f"{{{','.join(STUDIES)}}}"),
     ] = None
-    """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano."""
+    """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano.
+    circuit: a rig carried round a circuit, with and without its calibration."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for study.html and the tables as CSV (default: gnomon-study-NAME)."""
     runs: int | None = None
