@@ -124,6 +124,9 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     run(["simulate", "temperature", "-o", "warm-ups", "--duration-s", "300", "--rate-hz", "10"])
     for i in (1, 2, 3):
         shutil.copy(f"warm-ups/warm-up-{i}.npz", f"cold-{i}.csv")
+    run(["simulate", "temperature", "-o", "oven", "--turned", "--intervals", "14"])
+    for i, name in enumerate(("window", "room", "radiator"), 1):
+        shutil.copy(f"oven/turned-{i}.npz", f"{name}.csv")
     shutil.copy("cold-1.csv", "flight.csv")
     run(["imu", "log.csv", "-o", "board-imu", "--no-report"])
     shown = {"show", "rate", "apply", "convert"}
