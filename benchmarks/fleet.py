@@ -4,10 +4,12 @@ python benchmarks/fleet.py devices 1000 --jobs 2     # calibrate so many simulat
 python benchmarks/fleet.py kill 50                   # end `batch` at random moments, and look what is there
 python benchmarks/fleet.py dask 60                   # one worker, two workers, two of which one is killed
 python benchmarks/fleet.py library 100000            # history, chart and report of a library
+python benchmarks/fleet.py serve 50                  # so many clients at once; --library FILE, else one of 10 000
 python benchmarks/fleet.py faults 5                  # the faults of tests/unit/fleet/test_line.py on so many seeds
 """
 
 import argparse
+import asyncio
 import os
 import random
 import signal
@@ -20,6 +22,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import quote, urlsplit
 
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path[:0] = [str(TESTS), str(TESTS / "unit" / "fleet")]
@@ -126,17 +129,18 @@ def dask(scratch, count):
             process.kill()
 
 
-def library(scratch, count):
+def library(scratch, count, place):
     from fleet_line import healthy_line
     from gnomon.fleet.library import Library
 
-    place = scratch / "line.db"
-    entries = healthy_line(count - count // 6, 5, again=count // 6, stations=("A", "B", "C"))
-    start = time.process_time()
-    with Library(str(place), create=True) as opened:
-        opened.add(*entries)
-    size, cpu = place.stat().st_size / 1e6, time.process_time() - start
-    print(f"{count} calibrations of 12 scalars: {size:.0f} MB, added in {cpu:.0f} s of CPU")
+    if place is None:
+        place = scratch / "line.db"
+        entries = healthy_line(count - count // 6, 5, again=count // 6, stations=("A", "B", "C"))
+        start = time.process_time()
+        with Library(str(place), create=True) as opened:
+            opened.add(*entries)
+        size, cpu = place.stat().st_size / 1e6, time.process_time() - start
+        print(f"{count} calibrations of 12 scalars: {size:.0f} MB, added in {cpu:.0f} s of CPU")
     for words in (["history", "SN00042"], ["chart", "imu0.gyroscope.bias[0]"], ["report", str(scratch / "line.html")]):
         start, before = time.monotonic(), os.times()
         command = [*GNOMON, "library", *words, "--library", str(place)]
@@ -145,6 +149,58 @@ def library(scratch, count):
         cpu = after.children_user + after.children_system - before.children_user - before.children_system
         print(f"{words[0]}: {time.monotonic() - start:.2f} s of wall time, {cpu:.2f} s of CPU")
     print(f"report: {(scratch / 'line.html').stat().st_size / 1e6:.2f} MB")
+
+
+def serve(scratch, clients, place):
+    """Ask for pages, each client as fast as it is answered, then once a second, then from a new library."""
+    from fleet_line import NAMES, healthy_line
+    from gnomon.fleet.library import Library
+
+    if place is None:
+        place = scratch / "line.db"
+        with Library(str(place), create=True) as opened:
+            opened.add(*healthy_line(9000, 5, again=1000))
+    process = subprocess.Popen(
+        [*GNOMON, "library", "serve", "--library", str(place)], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        address = urlsplit(process.stdout.readline().split()[-1])
+        pages = ["/", "/?page=7", "/?serial=42", "/chart", *(f"/chart?name={quote(name)}" for name in NAMES)]
+        for pause_s, each in ((1.0, 10), (0.0, 20)):
+            waits = asyncio.run(ask_for_pages(address, pages, clients, each, pause_s))
+            p50, p95, worst = (1e3 * waits[min(int(q * len(waits)), len(waits) - 1)] for q in (0.5, 0.95, 1))
+            pace = "one page a second each" if pause_s else "without a pause"
+            print(
+                f"{clients} clients, {pace}: {len(waits)} pages, median {p50:.0f} ms, p95 {p95:.0f}, worst {worst:.0f}"
+            )
+    finally:
+        process.terminate()
+        process.wait()
+        spent = os.times()
+        print(f"server: {spent.children_user + spent.children_system:.1f} s of CPU with its start")
+
+
+async def ask_for_pages(address, pages, clients, each, pause_s):
+    """Return the sorted waits [s]; half of the pages are of devices that nobody asked for before."""
+
+    async def client(number):
+        chance, waits = random.Random(number), []
+        await asyncio.sleep(pause_s * chance.random())
+        for _ in range(each):
+            device = f"/device?serial=SN{chance.randrange(8000):05d}"
+            path = device if chance.random() < 0.5 else chance.choice(pages)
+            start = time.monotonic()
+            reader, writer = await asyncio.open_connection(address.hostname, address.port)
+            token = f"{'&' if '?' in path else '?'}{address.query}"
+            writer.write(f"GET {path}{token} HTTP/1.1\r\nHost: {address.netloc}\r\nConnection: close\r\n\r\n".encode())
+            answer = await reader.read()
+            assert answer.startswith(b"HTTP/1.1 200"), answer[:200]
+            waits.append(time.monotonic() - start)
+            writer.close()
+            await asyncio.sleep(pause_s)
+        return waits
+
+    return sorted(wait for waits in await asyncio.gather(*map(client, range(clients))) for wait in waits)
 
 
 def faults(_scratch, seeds):
@@ -165,11 +221,12 @@ def faults(_scratch, seeds):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("devices", "kill", "dask", "library", "faults"))
+    parser.add_argument("what", choices=("devices", "kill", "dask", "library", "serve", "faults"))
     parser.add_argument("count", type=int)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--library", type=Path)
     given = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     with tempfile.TemporaryDirectory() as folder:
-        more = (given.jobs,) if given.what == "devices" else ()
+        more = {"devices": (given.jobs,), "serve": (given.library,), "library": (given.library,)}.get(given.what, ())
         globals()[given.what](Path(folder), given.count, *more)

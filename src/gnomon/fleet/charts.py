@@ -1,10 +1,13 @@
 """Control charts of a line in numbers."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..frozen import value_class
+from .entries import LineTable
 from .line import LineAssessment
-from .statistics import ControlChart, ewma_chart, individuals_chart
+from .statistics import ControlChart, Population, ewma_chart, individuals_chart
 
 
 @value_class(eq=True)
@@ -53,15 +56,15 @@ class ChartSummary:
         )
 
 
-def control_charts(line: LineAssessment, k: int) -> tuple[ControlChart, ControlChart]:
+def control_charts(
+    table: LineTable, first: Sequence[int], k: int, known: Population
+) -> tuple[ControlChart, ControlChart]:
     """Return the charts of individuals and of their weighted average, of the devices that have the scalar k.
 
-    Outliers of the population do not widen the limits.
+    `first` are the rows of the first result of each device. Outliers of the population do not widen the limits.
     """
-    known, table = line.populations[k], line.table
-    first = np.array(line.first, dtype=int)
-    has = np.isfinite(table.values[first, k])
-    rows = first[has]
+    has = np.isfinite(table.values[list(first), k])
+    rows = np.array(first, dtype=int)[has]
     values = table.values[rows, k]
     individuals = individuals_chart(values, known.mean, usual=known.kept[has])
     return individuals, ewma_chart(values, np.hypot(known.spread, table.sigmas[rows, k]), known.mean)
@@ -72,7 +75,7 @@ def chart_summary(line: LineAssessment, name: str) -> ChartSummary:
     k, table = line.table.names.index(name), line.table
     known = line.populations[k]
     serials = [table.entries[row].serial for row in line.first if np.isfinite(table.values[row, k])]
-    individuals, average = control_charts(line, k)
+    individuals, average = control_charts(table, line.first, k, known)
     return ChartSummary(
         name=name,
         unit=table.units[k],

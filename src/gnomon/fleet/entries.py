@@ -90,6 +90,13 @@ class LibraryEntry:
         )
 
     @property
+    def published_sigmas(self) -> Floats:
+        """Standard deviations (n,) as published, gravity's part included; 0 where the details were not read."""
+        sigmas = np.zeros(len(self.names))
+        sigmas[list(self.covered)] = np.sqrt(np.diag(self.covariance))
+        return sigmas
+
+    @property
     def key(self) -> str:
         """A hash of what was measured and found, whenever and wherever it is added."""
         facts = [getattr(self, f.name) for f in fields(self) if f.name not in _UNKEYED]

@@ -7,7 +7,7 @@ transactions, and a writer waits for another one; so a process may be killed at 
 
 import hashlib
 import json
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,7 +19,7 @@ from .entries import LibraryEntry
 from .schema import CALIBRATIONS, DETAILS, LAYOUTS, RUNS, migrate_schema, needs_migration
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine
+    from sqlalchemy import Connection, Engine, Select
 
 _WAIT_S = 30.0
 """How long a writer waits for another one of the same SQLite file."""
@@ -34,6 +34,7 @@ class Library:
     ----------
     place : path of an SQLite file, which is made where there is none, or a URL such as postgresql://host/name
     create : whether a new one may be made
+    read_only : whether the database is told to refuse every change
 
     Raises
     ------
@@ -43,8 +44,8 @@ class Library:
         If it is no library, or a newer gnomon's.
     """
 
-    def __init__(self, place: str, *, create: bool = False) -> None:
-        self._engine = _connected(place, create=create)
+    def __init__(self, place: str, *, create: bool = False, read_only: bool = False) -> None:
+        self._engine = _connected(place, create=create, read_only=read_only)
         with self._engine.connect() as connection:
             outdated = needs_migration(connection, place)
         if outdated:
@@ -78,7 +79,12 @@ class Library:
             connection.execute(RUNS.insert().values(key=key, record=record))
 
     def entries(
-        self, *, serial: str | None = None, kind: str | None = None, details: bool = False
+        self,
+        *,
+        serial: str | Sequence[str] | None = None,
+        kind: str | None = None,
+        details: bool = False,
+        newest: int | None = None,
     ) -> Iterator[LibraryEntry]:
         """Yield the calibrations in the order of their dates, those of one day as they were added.
 
@@ -86,14 +92,18 @@ class Library:
         ----------
         serial, kind : only those; None for all
         details : whether covariance and needs are read
+        newest : how many of them at most, the last ones
         """
         from sqlalchemy import select
 
         joined = CALIBRATIONS.join(DETAILS) if details else CALIBRATIONS
         columns = [*CALIBRATIONS.c, *((DETAILS.c.covariance, DETAILS.c.needs) if details else ())]
-        query = select(*columns).select_from(joined).order_by(CALIBRATIONS.c.measured, CALIBRATIONS.c.id)
-        for column, wanted in ((CALIBRATIONS.c.serial, serial), (CALIBRATIONS.c.kind, kind)):
-            query = query if wanted is None else query.where(column == wanted)
+        order = (CALIBRATIONS.c.measured, CALIBRATIONS.c.id)
+        query = _only(select(*columns).select_from(joined), serial, kind)
+        if newest is not None:
+            last = _only(select(CALIBRATIONS.c.id), serial, kind).order_by(*(c.desc() for c in order)).limit(newest)
+            query = query.where(CALIBRATIONS.c.id.in_(last))
+        query = query.order_by(*order)
         with self._engine.connect() as connection:
             layouts = {
                 row.id: (tuple(json.loads(row.names)), tuple(json.loads(row.units)))
@@ -102,6 +112,25 @@ class Library:
             rows = connection.execution_options(yield_per=_PART).execute(query)
             for row in rows.mappings():
                 yield _entry(row, *layouts[row["layout"]])
+
+    def serials(
+        self, *, containing: str = "", kind: str | None = None, skip: int = 0, most: int
+    ) -> list[tuple[str, int]]:
+        """Return serial numbers in their order, and how many calibrations each has; see `entries`."""
+        from sqlalchemy import func, select
+
+        serial = CALIBRATIONS.c.serial
+        query = _only(select(serial, func.count().label("calibrations")), None, kind).group_by(serial).order_by(serial)
+        query = query.where(serial.contains(containing, autoescape=True)) if containing else query
+        with self._engine.connect() as connection:
+            return [(row[0], row.calibrations) for row in connection.execute(query.offset(skip).limit(most))]
+
+    def state(self) -> int:
+        """Return a number that grows whenever a calibration is added."""
+        from sqlalchemy import func, select
+
+        with self._engine.connect() as connection:
+            return connection.scalar(select(func.max(CALIBRATIONS.c.id))) or 0
 
     def count(self) -> int:
         """Return how many calibrations there are."""
@@ -129,6 +158,13 @@ class Library:
                 yield connection
         except DBAPIError as error:
             raise OutputError(f"{self._engine.url}: the library cannot be written ({error.orig}).") from error
+
+
+def _only(query: "Select[*tuple[Any, ...]]", serial: str | Sequence[str] | None, kind: str | None) -> Any:
+    """Return a query of the calibrations of these serial numbers and this kind; None for all."""
+    if serial is not None:
+        query = query.where(CALIBRATIONS.c.serial.in_([serial] if isinstance(serial, str) else serial))
+    return query if kind is None else query.where(CALIBRATIONS.c.kind == kind)
 
 
 def _insert(connection: "Connection", entry: LibraryEntry) -> bool:
@@ -192,7 +228,7 @@ def _unpacked(packed: bytes | None) -> tuple[tuple[int, ...], Floats]:
     return covered, matrix + np.tril(matrix, -1).T
 
 
-def _connected(place: str, *, create: bool) -> "Engine":
+def _connected(place: str, *, create: bool, read_only: bool) -> "Engine":
     try:
         from sqlalchemy import create_engine, event, make_url
         from sqlalchemy.exc import ArgumentError, SQLAlchemyError
@@ -203,26 +239,31 @@ def _connected(place: str, *, create: bool) -> "Engine":
     if "://" not in place:
         if not create and not Path(place).is_file():
             raise OptionError(f"{place}: there is no such library. gnomon batch or gnomon library import makes one.")
-        if Path(place).is_file() and Path(place).read_bytes()[:16] not in (b"", b"SQLite format 3\0"):
-            raise FormatError(f"{place}: this file is no library of gnomon. Name another.")
+        if Path(place).is_file():
+            with Path(place).open("rb") as file:
+                if file.read(16) not in (b"", b"SQLite format 3\0"):
+                    raise FormatError(f"{place}: this file is no library of gnomon. Name another.")
         place = f"sqlite:///{place}"
     try:
         url = make_url(place)
         url = url.set(drivername="postgresql+psycopg") if url.drivername in ("postgresql", "postgres") else url
-        engine = create_engine(url)
+        engine = create_engine(url, execution_options={"read_only": read_only})
         if url.get_backend_name() == "sqlite":
             event.listen(engine, "connect", _prepare_sqlite)
+            if read_only:
+                event.listen(engine, "connect", lambda raw, _: raw.execute("PRAGMA query_only = ON"))
         event.listen(engine, "begin", _begin)
         engine.connect().close()
     except ImportError as error:
         raise OptionError(f"{place}: its driver is missing ({error}). Run: pip install 'gnomon[fleet]'") from error
     except (ArgumentError, SQLAlchemyError) as error:
         reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
-        raise OptionError(f"--library {_without_password(place)}: it cannot be opened ({reason}).") from error
+        raise OptionError(f"--library {without_password(place)}: it cannot be opened ({reason}).") from error
     return engine
 
 
-def _without_password(place: str) -> str:
+def without_password(place: str) -> str:
+    """Return a path or URL of a library, without user and password."""
     head, at, tail = place.rpartition("@")
     return f"{head.partition('://')[0]}://...@{tail}" if at and "://" in head else place
 
@@ -241,5 +282,7 @@ def _begin(connection: "Connection") -> None:
     writes = connection.get_execution_options().get("writes", False)
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+    elif connection.get_execution_options().get("read_only"):
+        connection.exec_driver_sql("SET TRANSACTION READ ONLY")
     elif writes and connection.dialect.name == "postgresql":
         connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_LOCK})")

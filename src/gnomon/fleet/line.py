@@ -28,7 +28,8 @@ from .statistics import (
     time_changes,
 )
 
-_CHANCE = 1e-3
+CHANCE = 1e-3
+"""Of a false alarm of one kind on a line."""
 _FEWEST = 8
 """Devices of a line, or repeated measurements, from which on a spread is told."""
 _MOST_NAMED = 20
@@ -92,7 +93,7 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += [_station_finding(table, k, offset) for k, offset in stations]
     changes = _changes_in_time(corrected, first)
     found += [_time_finding(table, first, k, change) for k, change in changes]
-    limit = normal_limit(_CHANCE / max(values.size, 1))
+    limit = normal_limit(CHANCE / max(values.size, 1))
     populations = tuple(_population(corrected, first, k, limit) for k in range(len(table.names)))
     z = np.stack([_z(corrected, k, one) for k, one in enumerate(populations)], axis=1) if populations else values
     size = np.nan_to_num(np.abs(z))
@@ -193,7 +194,7 @@ def _wrong_units(table: LineTable, values: Floats) -> Iterator[Finding]:
 def _weighted(table: LineTable, rows: Sequence[int], k: int) -> tuple[Floats, Floats]:
     """Return values, drawn in to the limits of the population, and their variances about its mean, of one scalar."""
     y, s = table.values[rows, k], table.sigmas[rows, k]
-    limit = normal_limit(_CHANCE / max(len(rows), 1))
+    limit = normal_limit(CHANCE / max(len(rows), 1))
     known = robust_population(y, s, limit)
     variances = known.spread**2 + s**2
     reach = limit * np.sqrt(variances)
@@ -204,7 +205,7 @@ def _station_offsets(table: LineTable, first: Sequence[int]) -> list[tuple[int, 
     """Return stations that are off, the most certain first, and take their offsets off the values."""
     stations = [entry.station for entry in table.entries]
     names = list(dict.fromkeys(stations))
-    limit = normal_limit(_CHANCE / max(len(table.names) * len(names), 1))
+    limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
     pairs = _repeats(table.entries)
     for _ in names[1:]:
@@ -267,7 +268,7 @@ def _changes_in_time(table: LineTable, first: Sequence[int]) -> list[tuple[int, 
     rows = list(first)
     days = days_of([table.entries[row] for row in rows])
     every_day = days_of(table.entries)
-    limit = normal_limit(_CHANCE / max(2 * len(table.names) * len(rows), 1))
+    limit = normal_limit(CHANCE / max(2 * len(table.names) * len(rows), 1))
     found: list[tuple[int, TimeChange]] = []
     for _ in range(3):
         changes: list[tuple[int, TimeChange]] = []
@@ -333,7 +334,7 @@ def _changed_devices(table: LineTable) -> tuple[Floats, int, list[Finding]]:
     before, after = np.array(pairs).T
     steps = table.values[after] - table.values[before]
     variances = table.sigmas[after] ** 2 + table.sigmas[before] ** 2
-    limit = normal_limit(_CHANCE / steps.size)
+    limit = normal_limit(CHANCE / steps.size)
     known = [robust_population(steps[:, k], np.sqrt(variances[:, k]), limit) for k in range(steps.shape[1])]
     spread2 = np.array([one.spread**2 for one in known])
     z = np.stack([one.z for one in known], axis=1)

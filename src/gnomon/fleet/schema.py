@@ -42,6 +42,7 @@ CALIBRATIONS = Table(
     Column("values", LargeBinary, nullable=False),
     Column("sigmas", LargeBinary, nullable=False),
     Index("by_serial", "serial", "measured"),
+    Index("by_date", "measured", "id"),
 )
 DETAILS = Table(
     "details",

@@ -6,8 +6,6 @@ it can take it, and nothing waits for it: the recording goes on whatever clients
 
 import asyncio
 import json
-import secrets
-import socket
 import threading
 import time
 import webbrowser
@@ -16,7 +14,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ..errors import OptionError, RecordingError
+from ..errors import RecordingError
+from ..local_server import LocalServer
 from .session import LiveSession
 from .sources import INSTALL, PushSource
 
@@ -25,14 +24,7 @@ _STATE_S = 0.5
 _MOST_CLIENTS = 16
 _LONGEST_PUSH = 4 << 20
 _LAST_S = 20.0
-_HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-}
+_POLICY = "script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; form-action 'none'"
 _FILES = {
     "/": ("live.html", "text/html"),
     "/live.css": ("live.css", "text/css"),
@@ -40,7 +32,7 @@ _FILES = {
 }
 
 
-class LivePage:
+class LivePage(LocalServer):
     """Serves the page of a session, in a thread of its own.
 
     Parameters
@@ -56,50 +48,32 @@ class LivePage:
     """
 
     def __init__(self, session: LiveSession, *, port: int = 0, lan: bool = False) -> None:
-        try:
-            import uvicorn
-            from starlette.applications import Starlette
-            from starlette.routing import Route
-        except ImportError:
-            raise OptionError(f"the page needs Starlette and uvicorn. {INSTALL}, or use --no-browser.") from None
-        self.session, self.token = session, secrets.token_urlsafe(24)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._socket.bind(("0.0.0.0" if lan else "127.0.0.1", port))
-        except (OSError, OverflowError) as error:
-            raise OptionError(
-                f"--port {port}: the page cannot be served there ({error}). Choose another port."
-            ) from None
-        self.port = int(self._socket.getsockname()[1])
-        self._hosts = ["localhost", "127.0.0.1", *([_own_address()] if lan else [])]
+        self.session = session
         self._clients, self._result, self._fetched = 0, "", threading.Event()
         self._report: Path | None = None
-        routes = [Route(path, self._file) for path in _FILES]
-        routes += [
-            Route("/events", self._events),
-            Route("/report", self._show_report),
-            Route("/stop", self._stop, methods=["POST"]),
-            Route("/push", self._push, methods=["POST"]),
-        ]
-        self.app = self._guarded(Starlette(routes=routes))
-        options = uvicorn.Config(self.app, log_level="critical", timeout_graceful_shutdown=1, lifespan="off")
-        self._server = uvicorn.Server(options)
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
+        super().__init__(
+            [
+                *((path, "GET", self._file) for path in _FILES),
+                ("/events", "GET", self._events),
+                ("/report", "GET", self._show_report),
+                ("/stop", "POST", self._stop),
+                ("/push", "POST", self._push),
+            ],
+            policy=_POLICY,
+            install=f"{INSTALL}, or use --no-browser.",
+            port=port,
+            lan=lan,
+        )
 
     @property
     def address(self) -> str:
         """Where the page is, with its token."""
-        return f"http://{self._hosts[-1]}:{self.port}/?token={self.token}"
+        return self.address_of()
 
     @property
     def push_address(self) -> str:
         """Where a phone sends its samples to."""
-        return f"http://{self._hosts[-1]}:{self.port}/push?token={self.token}"
-
-    def begin_serving(self) -> None:
-        """Begin to serve, in a thread of its own."""
-        self._thread.start()
+        return self.address_of("/push")
 
     def open_in_browser(self) -> None:
         """Show the page."""
@@ -115,60 +89,19 @@ class LivePage:
         if self._report is not None:
             self._fetched.wait(2 * _STATE_S)  # from a page that was told, and asks now
             time.sleep(_STATE_S)
-        self._server.should_exit = True
-        self._thread.join(timeout=3.0)
-
-    def _guarded(self, app: Any) -> Any:
-        """Let in only requests to this host, from this page, with the token."""
-
-        async def guarded(scope: Any, receive: Any, send: Any) -> None:
-            """Answer one request, as the interface of ASGI has it."""
-            from starlette.requests import Request
-            from starlette.responses import PlainTextResponse
-
-            if scope["type"] != "http":
-                return
-            request = Request(scope, receive)
-            refusal = self._refusal(request)
-            if refusal is not None:
-                await PlainTextResponse(refusal[1], status_code=refusal[0], headers=_HEADERS)(scope, receive, send)
-                return
-            await app(scope, receive, send)
-
-        return guarded
-
-    def _refusal(self, request: Any) -> tuple[int, str] | None:
-        """Return status and reason where a request is refused."""
-        own = {f"{host}:{self.port}" for host in self._hosts}
-        if request.headers.get("host", "") not in own:
-            return 400, "This page has another address."
-        origin = request.headers.get("origin")
-        if origin is not None and origin not in {f"http://{host}" for host in own}:
-            return 403, "This page may not be used from another one."
-        given = request.query_params.get("token") or request.cookies.get(self._cookie, "")
-        if not secrets.compare_digest(given.encode(), self.token.encode()):
-            return 403, "The token is missing: open the address that gnomon live printed."
-        return None
-
-    @property
-    def _cookie(self) -> str:
-        return f"gnomon-{self.port}"
+        self.end_serving()
 
     async def _file(self, request: Any) -> Any:
-        from starlette.responses import Response
-
         name, kind = _FILES[request.url.path]
-        answer = Response((files("gnomon.live") / "page" / name).read_bytes(), media_type=kind, headers=_HEADERS)
-        if request.url.path == "/":
-            answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict")
-        return answer
+        content = (files("gnomon.live") / "page" / name).read_bytes()
+        return self.answer(content, kind, first=request.url.path == "/")
 
     async def _events(self, _request: Any) -> Any:
-        from starlette.responses import PlainTextResponse, StreamingResponse
+        from starlette.responses import StreamingResponse
 
         if self._clients >= _MOST_CLIENTS:
-            return PlainTextResponse("Too many pages are open.", status_code=503, headers=_HEADERS)
-        return StreamingResponse(self._stream(), media_type="text/event-stream", headers=_HEADERS)
+            return self.say("Too many pages are open.", 503)
+        return StreamingResponse(self._stream(), media_type="text/event-stream", headers=self.headers)
 
     async def _stream(self) -> AsyncIterator[str]:
         """Yield the newest samples ten times a second and what is known twice a second."""
@@ -197,42 +130,28 @@ class LivePage:
         return self.session.stopped.is_set()
 
     async def _stop(self, _request: Any) -> Any:
-        from starlette.responses import PlainTextResponse
-
         self.session.stopped.set()
-        return PlainTextResponse("stopped", headers=_HEADERS)
+        return self.say("stopped")
 
     async def _push(self, request: Any) -> Any:
-        from starlette.responses import PlainTextResponse
-
         source = self.session.source
         if not isinstance(source, PushSource):
-            return PlainTextResponse("The source is another one.", status_code=409, headers=_HEADERS)
+            return self.say("The source is another one.", 409)
         body = b""
         async for piece in request.stream():
             body += piece
             if len(body) > _LONGEST_PUSH:
-                return PlainTextResponse("Too long.", status_code=413, headers=_HEADERS)
+                return self.say("Too long.", 413)
         try:
             count = source.take_push(body)
         except RecordingError as error:
-            return PlainTextResponse(str(error), status_code=400, headers=_HEADERS)
-        return PlainTextResponse(f"{count} samples", headers=_HEADERS)
+            return self.say(str(error), 400)
+        return self.say(f"{count} samples")
 
     async def _show_report(self, _request: Any) -> Any:
-        from starlette.responses import FileResponse, PlainTextResponse
+        from starlette.responses import FileResponse
 
         self._fetched.set()
         if self._report is None:
-            return PlainTextResponse("There is no report.", status_code=404, headers=_HEADERS)
+            return self.say("There is no report.", 404)
         return FileResponse(self._report, media_type="text/html", headers={"Cache-Control": "no-store"})
-
-
-def _own_address() -> str:
-    """Return this computer's address in its network; nothing is sent to find it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-            return str(probe.getsockname()[0])
-        except OSError:
-            return "127.0.0.1"

@@ -9,8 +9,9 @@ import numpy as np
 from .._version import __version__
 from ..assess.verdict import verdict_of
 from ..fleet.charts import control_charts
+from ..fleet.entries import LineTable
 from ..fleet.line import LineAssessment, days_of
-from ..fleet.statistics import GaugeStudy, gauge_study, process_capability, wilson_interval
+from ..fleet.statistics import GaugeStudy, Population, gauge_study, process_capability, wilson_interval
 from ..output import write_whole
 from .drawing.figures import DASHED, Sheet, draw_dots, set_y_limits, thin_points
 from .numbers import MISSING, number_text, percent_text, with_sigma
@@ -66,7 +67,7 @@ def _headline(counts: Counter[str]) -> str:
 
 
 def _sections(line: LineAssessment) -> Iterator[Section]:
-    yield Section("charts", "In the order of measurement", blocks=[_chart(line, k) for k in _charted(line)])
+    yield Section("charts", "In the order of measurement", blocks=_charts(line))
     yield Section("population", "The population", blocks=[_population_table(line)] if line.table.names else [])
     yield Section("worst", "Devices most unlike the others", blocks=[_worst_table(line)] if line.first else [])
     yield Section("stations", "Stations", blocks=[_station_table(line)] if line.first else [])
@@ -176,11 +177,15 @@ def _charted(line: LineAssessment) -> Sequence[int]:
     return [k for k in dict.fromkeys([*named, *rest]) if line.populations[k].count > 1][:_CHARTS]
 
 
-def _chart(line: LineAssessment, k: int) -> Figure:
-    known, table = line.populations[k], line.table
-    rows = [row for row in line.first if np.isfinite(table.values[row, k])]
+def _charts(line: LineAssessment) -> list[Figure]:
+    return [chart_figure(line.table, line.first, k, line.populations[k]) for k in _charted(line)]
+
+
+def chart_figure(table: LineTable, first: Sequence[int], k: int, known: Population) -> Figure:
+    """Return the control chart of the scalar k; see `control_charts`."""
+    rows = [row for row in first if np.isfinite(table.values[row, k])]
     y = table.values[rows, k]
-    individuals, chart = control_charts(line, k)
+    individuals, chart = control_charts(table, first, k, known)
     x, name = np.arange(1.0, len(y) + 1), table.names[k]
     sheet = Sheet()
     panel = sheet.panel(f"{name} [{table.units[k]}]", top=38, height=_HEIGHT, x_label="device, in the order of dates")

@@ -206,20 +206,24 @@ def render_page(page: ReportPage) -> bytes:
 
     script = (_HERE / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    html = _template().render(
+    html = page_template("page.html.jinja").render(
         page=page,
         style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
         script=Markup(script),
         # The page may run this one script and load nothing, whatever a file name might try to smuggle in.
         policy=f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'",
     )
-    # A file name may hold bytes that are no text, or steer a terminal that shows the file; they are shown as escapes.
+    return printable_page(html)
+
+
+def printable_page(html: str) -> bytes:
+    """Return a page as UTF-8; what is no text, or would steer a terminal that shows the file, is shown as escapes."""
     return printable_text(html).encode("utf-8", "backslashreplace")
 
 
 @cache
-def _template() -> "Template":
-    """Return the template, compiled once: that takes longer than to fill it in."""
+def page_template(name: str) -> "Template":
+    """Return a template of this folder, compiled once: that takes longer than to fill it in."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -229,4 +233,4 @@ def _template() -> "Template":
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html.jinja")
+    return environment.get_template(name)

@@ -1,5 +1,6 @@
 """The command that looks into a library of many devices."""
 
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ _WORDS = {
     "report": (1, 1, "the file to write, such as line.html"),
     "export": (1, 1, "the file to write, such as line.csv"),
     "import": (1, 10_000, "folders with results"),
+    "serve": (0, 0, "nothing more"),
 }
 _FACTS = ("measured", "kind", "verdict", "use", "station", "operator", "temperature_c", "version", "folder")
 
@@ -37,7 +39,8 @@ class LibraryCommand(Command):
     list: the devices. show SERIAL: the newest calibration of a device. history SERIAL: all of them, and what changed.
     chart PARAMETER: mean, spread and control limits of a number over all devices; without PARAMETER of all numbers.
     report FILE: one page on the whole line, with all that was noticed (exit code 4 where it is a problem). export FILE:
-    all calibrations as a table, .csv or .parquet. import FOLDER...: add the results in these folders.
+    all calibrations as a table, .csv or .parquet. import FOLDER...: add the results in these folders. serve: pages of
+    devices and charts, read-only, for a browser on this computer; Ctrl-C ends it. Needs gnomon[serve].
 
     Examples
     --------
@@ -47,7 +50,7 @@ class LibraryCommand(Command):
     """
 
     action: Annotated[
-        Literal["list", "show", "history", "chart", "report", "export", "import"], Argument(positional=True)
+        Literal["list", "show", "history", "chart", "report", "export", "import", "serve"], Argument(positional=True)
     ]
     """What to do."""
     words: Annotated[tuple[str, ...], Argument(positional=True, metavar="WORD")] = ()
@@ -56,6 +59,10 @@ class LibraryCommand(Command):
     """The library: an SQLite file or a URL such as postgresql://host/name. Needs gnomon[fleet]."""
     kind: str | None = None
     """Only calibrations that this command made, such as imu."""
+    port: int = 0
+    """Where `serve` serves its pages (default: a free port)."""
+    lan: bool = False
+    """Let other devices of the network see the pages of `serve`, with the token, unencrypted."""
 
     def run(self, terminal: Terminal) -> int:
         """Do it, and return the exit code."""
@@ -72,8 +79,10 @@ class LibraryCommand(Command):
             "report": self._report,
             "export": self._export,
             "import": self._import,
+            "serve": self._serve,
         }
-        with Library(self.library, create=self.action == "import") as library:
+        importing, serving = self.action == "import", self.action == "serve"
+        with Library(self.library, create=importing, read_only=serving) as library:
             document = actions[self.action](library, terminal)
         terminal.document(document)
         return int(document.get("exit_code", USABLE))
@@ -99,13 +108,8 @@ class LibraryCommand(Command):
         entry = self._of_serial(library, details=True)[-1]
         for name in _FACTS:
             terminal.print(f"{name:<14} {getattr(entry, name)}")
-        sigmas = dict.fromkeys(entry.names, 0.0)
-        for index, variance in zip(entry.covered, entry.covariance.diagonal(), strict=True):
-            sigmas[entry.names[index]] = float(variance**0.5)
-        rows = [
-            (name, *with_sigma(value, sigma), unit)
-            for (name, sigma), value, unit in zip(sigmas.items(), entry.values.tolist(), entry.units, strict=True)
-        ]
+        numbers = zip(entry.names, entry.values.tolist(), entry.published_sigmas.tolist(), entry.units, strict=True)
+        rows = [(name, *with_sigma(value, sigma), unit) for name, value, sigma, unit in numbers]
         terminal.print("")
         _print_rows(("parameter", "estimate", "sigma", "unit"), rows, terminal)
         return json_value(entry)
@@ -171,6 +175,18 @@ class LibraryCommand(Command):
         count = export_table(library.entries(kind=self.kind), path)
         terminal.print(f"{count} calibrations  {path}")
         return {"calibrations": count, "file": str(path)}
+
+    def _serve(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
+        from ...fleet.library import without_password
+        from ...report.library_pages import LibraryPages, LibraryServer
+
+        pages = LibraryPages(library, without_password(self.library), self.kind)
+        pages.prepare()
+        server = LibraryServer(pages, port=self.port, lan=self.lan)
+        terminal.print(f"pages        {server.address_of()}\n\nCtrl-C ends it.")
+        sys.stdout.flush()  # a program may read where the pages are
+        server.serve_until_interrupted()
+        return {}
 
     def _import(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
         from ...fleet.entries import LibraryEntry
