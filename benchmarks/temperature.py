@@ -7,6 +7,7 @@ of one range and speed; four are used, and the change of the bias over the fifth
 the truth of the simulation, the mean left out, which belongs to the switching-on. PX4: a cubic by least squares through
 all samples, with the temperature as read (process_sensor_caldata.py, by its description). ArduPilot: a cubic through
 means of two seconds (INS_TCAL, by its documentation). Healthy: sensors that do not change, or a steady temperature.
+Faults: thermometers that are none, and what names them. Turned: scales from three temperatures, against the truth.
 """
 
 import argparse
@@ -23,11 +24,26 @@ from gnomon.simulate.temperature_scenario import TemperatureScenario
 HERE = Path(__file__).parent
 Floats = np.ndarray
 AT = 200
+CHIPS = {  # white noise as of the data sheets, 0.005 and 0.014 deg/s/sqrt(Hz), 400 and 175 ug/sqrt(Hz)
+    "MPU-6050": {"gyroscope_white_noise": 8.7e-5, "accelerometer_white_noise": 3.9e-3},
+    "BMI088": {
+        "gyroscope_white_noise": 2.4e-4, "accelerometer_white_noise": 1.7e-3, "gyroscope_bias_instability": 1e-5,
+    },
+}  # fmt: skip
+FAULTS = {
+    "none": (lambda one: None, "RecordingError"),
+    "one temperature": (lambda one: replace(one, values=25 + 0.02 * np.sin(np.arange(len(one)))), "temperature-range"),
+    "stuck": (lambda one: replace(one, values=np.full(len(one), one.values[0])), "temperature"),
+    "minus": (lambda one: replace(one, values=-one.values), "temperature-falls"),
+    "Fahrenheit, read as Celsius": (lambda one: replace(one, values=32 + 1.8 * one.values), "temperature-hot"),
+}
+"""What happens to a thermometer -> the finding that has to name it."""
 
 
 def scenario_of(rng: np.random.Generator, order: int) -> TemperatureScenario:
     """Return a sensor and its thermometer."""
     return TemperatureScenario(
+        **CHIPS[str(rng.choice(list(CHIPS)))],
         recordings=5,
         rate_hz=20.0,
         duration_s=900.0,
@@ -88,11 +104,47 @@ def errors(seed: int) -> tuple[dict[str, float], float, bool]:
     return known, z, result.triads["gyroscope"].order == order
 
 
+def named(seed: int) -> dict[str, bool]:
+    """Return of each fault whether it is named, and where nothing can be told nothing is found."""
+    scenario = replace(scenario_of(np.random.default_rng(seed), 1), recordings=2)
+    recordings = simulate_temperature(scenario, seed).recordings
+    found = {}
+    for name, (change, code) in FAULTS.items():
+        imus = [one.imus["imu0"] for one in recordings]
+        wrong = [gnomon.Recording(imus={"imu0": replace(imu, temperature=change(imu.temperature))}) for imu in imus]
+        try:
+            result = gnomon.calibrate_temperature(wrong)
+        except gnomon.GnomonError as error:
+            found[name] = type(error).__name__ == code
+            continue
+        told = {one.code for one in result.calibration.assessment.findings if one.severity != "good"}
+        changed = any(triad.order for triad in result.triads.values())
+        found[name] = code in told and not (changed and code in {"temperature", "temperature-range"})
+    return found
+
+
+def turned_errors(seed: int) -> list[float]:
+    """Return how far the change of each free entry of the sensitivities lies off the truth, in sigmas."""
+    made = simulate_temperature(TemperatureScenario(turned=True, order=1, rate_hz=100.0), seed)
+    calibration = gnomon.calibrate_temperature(made.recordings).calibration
+    z: list[float] = []
+    for part in ("accelerometer_sensitivity", "gyroscope_sensitivity"):
+        found = getattr(calibration.imus["imu0"].temperature, part)
+        if found is None:
+            return [float("nan")]
+        sigma = calibration.sigma(f"imu0.temperature.{part}")[0]
+        off = found[0] - getattr(made.truth, part)[0]
+        z += (off[sigma > 0] / sigma[sigma > 0]).tolist()
+    return z
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Compare biases over the temperature with PX4 and ArduPilot.")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--healthy", type=int, default=0, help="sensors that do not change")
+    parser.add_argument("--faults", type=int, default=0, help="sensors with each of the faults of a thermometer")
+    parser.add_argument("--turned", type=int, default=0, help="sensors that are turned at three temperatures")
     parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
     options = parser.parse_args()
     rows, zs, right = [], [], 0
@@ -104,12 +156,12 @@ def main() -> None:
         print(
             seed, " ".join(f"{name} {1e6 * value:.1f}" for name, value in known.items()), f"z {z:.2f} {ok}", flush=True
         )
-    table = np.array(rows)
+    table = np.array(rows) if rows else np.full((1, 3), np.nan)
     ratio = np.sqrt(np.mean(table**2, axis=0))
     z_rms = float(np.sqrt(np.nanmean(np.square(zs))))
     lines = [
-        f"seeds {options.first} to {options.first + options.seeds - 1}: order right in {right} of {options.seeds}, "
-        f"errors of ours {z_rms:.2f} sigma rms",
+        f"seeds {options.first} to {options.first + options.seeds - 1}: order right in {right} of "
+        f"{options.seeds}, errors of ours {z_rms:.2f} sigma rms",
         "",
         "| | rms error of the left-out warm-up [µrad/s] | median | of gnomon's, rms |",
         "| --- | --- | --- | --- |",
@@ -128,6 +180,19 @@ def main() -> None:
         kept += not any(triad.order for triad in result.triads.values())
     if options.healthy:
         lines += ["", f"healthy: order 0 kept in {kept} of {options.healthy}"]
+    every = [named(seed) for seed in range(options.first, options.first + options.faults)]
+    for name in FAULTS if every else ():
+        lines += ["", f"thermometer, {name}: named in {sum(one[name] for one in every)} of {len(every)}"]
+    if options.turned:
+        each = [turned_errors(seed) for seed in range(options.first, options.first + options.turned)]
+        off = np.concatenate([one for one in each if len(one) > 1])
+        missed = sum(len(one) == 1 for one in each)
+        lines += [
+            "",
+            f"scales and axes from three temperatures, {options.turned} sensors, not found in {missed}: errors "
+            f"{np.sqrt(np.mean(off**2)):.2f} sigma rms, {np.mean(abs(off) < 2):.1%} within 2 sigma, worst "
+            f"{abs(off).max():.1f}",
+        ]
     print("\n".join(lines))
     if options.write:
         text = "# Biases over the temperature\n\nWritten by `python benchmarks/temperature.py --write`.\n\n"

@@ -253,3 +253,20 @@ def test_compares_with_a_data_sheet(simulated, run, tmp_path):
     code, _, err = run("noise", simulated, "--bandwidth-hz", 50, "-o", tmp_path / "other")
     assert code == 2
     assert "--datasheet" in err
+
+
+@pytest.mark.parametrize("kind", ["npz", "csv"])
+def test_a_warm_up_that_is_not_over_is_told_with_how_long_to_wait(table, run, tmp_path, kind):
+    table = table[: len(table) // 4]
+    degc = np.round(40 - 15 * np.exp(-table[:, 0] / 300), 1)
+    path = tmp_path / f"warm.{kind}"
+    if kind == "npz":
+        write_npz(path, table, temperature=degc, unit_temperature=np.array("degC"))
+    else:
+        header = "t [s],ax [m/s^2],ay [m/s^2],az [m/s^2],gx [rad/s],gy [rad/s],gz [rad/s],temp_degC"
+        np.savetxt(path, np.column_stack([table, degc]), delimiter=",", header=header, comments="")
+    code, out, err = run("noise", path, "-o", tmp_path / "out", "--no-report")
+    assert code in {0, 1, 2, 4}, err
+    told = " ".join(out.split())
+    assert "by its course" in told
+    assert "s longer before recording" in told

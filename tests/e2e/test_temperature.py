@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.recording import TemperatureSamples
 from gnomon.simulate import Scenario, simulate
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.simulate.temperature_scenario import TemperatureScenario
@@ -204,3 +205,20 @@ def test_simulated_warm_ups_are_read_by_the_command_that_they_propose(run, tmp_p
     assert code == 0, err
     files = json.loads(out)["recordings"]
     assert run("temperature", *files, "--no-report")[0] == 0
+
+
+@pytest.mark.long
+def test_camera_imu_says_that_the_warm_up_is_not_over():
+    scenario = gnomon.CameraImuScenario(
+        duration_s=9.0, motion="normal", imu_rate_hz=100.0, camera_rate_hz=10.0, target_cols=3, target_rows=3
+    )
+    made = gnomon.simulate_camera_imu(scenario, 3)
+    imu = made.recording.imus["imu0"]
+    t_ns = imu.gyroscope.t_ns[::10]
+    degc = 40 - 15 * np.exp(-(t_ns - t_ns[0]) * 1e-9 / 5)
+    warm = replace(imu, temperature=TemperatureSamples(t_ns=t_ns, values=degc, unit="degC"))
+    recording = replace(made.recording, imus={"imu0": warm})
+    result = gnomon.calibrate_camera_imu(recording, made.target, gnomon.CameraImuOptions(model="basic"))
+    told = [one for one in result.calibration.assessment.findings if one.code == "temperature"]
+    assert len(told) == 1
+    assert "time constant 5 s" in told[0].message

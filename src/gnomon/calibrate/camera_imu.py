@@ -16,6 +16,7 @@ from ..assess.cameras.camera_imu_verdict import assess_camera_imu
 from ..assess.cameras.camera_views import without_copies
 from ..assess.changes import with_changes
 from ..assess.checks.early_findings import judged_again, unmodelled_effects
+from ..assess.checks.temperature_checks import check_thermometers
 from ..assess.needs import with_precision
 from ..assess.prior_findings import prior_used
 from ..assess.priors import Priors, refuse_own_data
@@ -112,7 +113,8 @@ def _calibrated(
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
     used = [finding for one in known for finding in prior_used(one)]
-    prepared = replace(prepared, findings=(*prepared.findings, *copied, *used))
+    warmth = check_thermometers(recording.imus)
+    prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *warmth))
     tell("finding the board's poses, the time shift and the camera's axes")
     rig = _align(recording, target, prepared)
     prepared = rig.prepared

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.checks.signals import copied_stretches
+from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import assess_noise, check_length, check_samples, check_still
@@ -34,8 +35,8 @@ from ..readers.recordings import read
 from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
-from ..readers.samples.stream import open_stream, stream_of
-from ..recording import Floats, Recording, Source, TriadSamples, smallest_steps
+from ..readers.samples.stream import open_stream, read_thermometer, stream_of
+from ..recording import Floats, Recording, Source, TemperatureSamples, TriadSamples, smallest_steps
 from ..results.calibration import Provenance
 from ..results.sensor_noise import (
     SENSOR_UNITS,
@@ -50,6 +51,8 @@ from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 
 _FACTORS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
 _BLOCK_BYTES = 4 << 20
+_LARGEST_WHOLE = 100 << 20
+"""Of files that are read as a whole, for the sake of a thermometer's readings [bytes]."""
 _FILTERED_S = 2.0  # shorter averaging times may show the sensor's filter or vibration instead of its noise
 _T_INIT_S = (1.0, 225.0)  # averaging times of Fig. 3.2 of Tedaldi
 
@@ -83,12 +86,15 @@ def identify_noise(
     """
     options = options or NoiseOptions()
     tell = progress or (lambda _: None)
-    stream, sources = _opened(recording, columns, rate_hz, Units.parse(units) if isinstance(units, str) else units)
+    stream, sources, thermometer = _opened(
+        recording, columns, rate_hz, Units.parse(units) if isinstance(units, str) else units
+    )
     tell("reading the recording")
     with threadpool_limits(1, user_api="blas"):  # the axes are worked on side by side already
         triads = _summed(stream, options)
         curves = {name: triad.sums.variance(triad.table.rate_hz) for name, triad in triads.items()}
     findings: list[Finding] = [note for triad in triads.values() for note in triad.notes]
+    findings += _warmth(thermometer, options)
     tables = {name: triad.table for name, triad in triads.items()}
     for name, triad in triads.items():
         check_length(tables[name], name)
@@ -125,17 +131,29 @@ def identify_noise(
     )
 
 
+def _warmth(thermometer: TemperatureSamples | None, options: NoiseOptions) -> list[Finding]:
+    """Return findings on the thermometer between the start and the stop that were asked for."""
+    if thermometer is None or not len(thermometer):
+        return []
+    t_s = (thermometer.t_ns - thermometer.t_ns[0]) * 1e-9
+    kept = slice(*np.searchsorted(t_s, [options.start_s, np.inf if options.stop_s is None else options.stop_s]))
+    part = TemperatureSamples(t_ns=thermometer.t_ns[kept], values=thermometer.values[kept], unit=thermometer.unit)
+    return check_temperature(part, "thermometer") if len(part) > 1 else []
+
+
 def _opened(
     recording: Recording | str | Path | Sequence[str | Path],
     columns: str | None,
     rate_hz: float | None,
     units: Units | None,
-) -> tuple[SampleStream, tuple[Source, ...]]:
+) -> tuple[SampleStream, tuple[Source, ...], TemperatureSamples | None]:
+    """Return the samples, where they are from, and the thermometer's readings, of files that fit into memory."""
     paths = () if isinstance(recording, Recording) else (recording,) if isinstance(recording, str | Path) else recording
     if not isinstance(recording, Recording) and is_device_log(paths):
         recording = read(*paths, columns=columns, rate_hz=rate_hz, units=units)
     if isinstance(recording, Recording):
-        return stream_of(next(iter(recording.imus.values())), 1 << 18), recording.sources
+        imu = next(iter(recording.imus.values()))
+        return stream_of(imu, 1 << 18), recording.sources, imu.temperature
     stream = open_stream(
         *paths,
         expected=Units(),
@@ -145,7 +163,11 @@ def _opened(
         triads=tuple(SENSOR_UNITS),
         block_bytes=_BLOCK_BYTES,
     )
-    return stream, tuple(map(file_source, recording_files(paths)))
+    files = recording_files(paths)
+    small = sum(file.stat().st_size for file in files) <= _LARGEST_WHOLE
+    warm = stream.thermometer and small
+    thermometer = read_thermometer(*paths, columns=columns, rate_hz=rate_hz, units=units) if warm else None
+    return stream, tuple(map(file_source, files)), thermometer
 
 
 class _Triad:

@@ -118,7 +118,13 @@ def _recording(
     t_s = np.arange(n) / scenario.rate_hz
     t_ns = np.round(1e9 * t_s).astype(np.int64)
     degc = _course(scenario, t_s, rng)
-    noise = NoiseScenario(duration_s=scenario.duration_s, rate_hz=scenario.rate_hz)
+    noise = NoiseScenario(
+        duration_s=scenario.duration_s,
+        rate_hz=scenario.rate_hz,
+        gyroscope_white_noise=scenario.gyroscope_white_noise,
+        accelerometer_white_noise=scenario.accelerometer_white_noise,
+        gyroscope_bias_instability=scenario.gyroscope_bias_instability,
+    )
     turn_on = {"gyroscope": scenario.gyroscope_turn_on, "accelerometer": scenario.accelerometer_turn_on}
 
     def triad(name: str, unit: str) -> TriadSamples:

@@ -70,6 +70,15 @@ class TemperatureScenario:
     accelerometer_turn_on: float = 5e-3
     """The same in m/s^2."""
 
+    gyroscope_white_noise: float = 2e-4
+    """Of warm-ups, in rad/s/sqrt(Hz)."""
+
+    accelerometer_white_noise: float = 2e-3
+    """The same in m/s^2/sqrt(Hz)."""
+
+    gyroscope_bias_instability: float = 7e-5
+    """Of warm-ups, in rad/s."""
+
     branches: float = 0.0
     """By how much more the gyroscope reads while the temperature rises than while it falls, in rad/s."""
 
@@ -79,7 +88,8 @@ class TemperatureScenario:
             self,
             positive=positive,
             not_negative="order sensitivity_order sensitivity sensitivity_scatter self_heating_k lag_s step_k "
-            "thermometer_noise gyroscope_turn_on accelerometer_turn_on",
+            "thermometer_noise gyroscope_turn_on accelerometer_turn_on gyroscope_white_noise "
+            "accelerometer_white_noise gyroscope_bias_instability",
         )
         if max(self.order, self.sensitivity_order) > 3:
             raise OptionError(

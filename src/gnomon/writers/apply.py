@@ -9,6 +9,7 @@ gyroscope's correction used.
 
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -18,9 +19,8 @@ import orjson
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
 from ..progress import Progress
-from ..readers.recordings import read
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
-from ..readers.samples.stream import BlockRows, open_stream, stream_of
+from ..readers.samples.stream import BlockRows, open_stream, read_thermometer, stream_of
 from ..recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
 from ..results.calibration import ImuCalibration
 from ..units import Units
@@ -81,8 +81,7 @@ def apply_files(
     def thermometer() -> TemperatureSamples | None:
         if temperature_c is not None:
             return TemperatureSamples(t_ns=np.array([0, 1_000_000_000]), values=np.full(2, temperature_c), unit="degC")
-        imus = read(*paths, columns=columns, rate_hz=rate_hz, units=units).imus
-        return (imus[imu] if imu in imus else next(iter(imus.values()))).temperature
+        return read_thermometer(*paths, columns=columns, rate_hz=rate_hz, units=units, imu=imu)
 
     stream = _at_reference(calibration, stream, thermometer, strict=strict, warn=warn)
     return write_calibrated(calibration, stream, output)
@@ -152,7 +151,7 @@ def _at_reference(
             yield calibration.triad_at_reference(name, block, course)
 
     there = {name: blocks for name in TRIADS if (blocks := getattr(stream, name)) is not None}
-    return SampleStream(**{name: corrected(name, blocks) for name, blocks in there.items()})
+    return replace(SampleStream(), **{name: corrected(name, blocks) for name, blocks in there.items()})
 
 
 def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: str | PathLike[str]) -> int:

@@ -51,3 +51,10 @@ def test_the_wait_is_what_brings_it_within_half_a_kelvin() -> None:
 )
 def test_units_and_stuck_thermometers(values, unit, found) -> None:
     assert codes(values, unit) == found
+
+
+def test_readings_that_are_no_numbers_are_passed_over() -> None:
+    values = 25 + 20 * (1 - np.exp(-T / 100))
+    values[::7] = np.nan
+    assert codes(values) == ["temperature"]
+    assert codes(np.full(len(T), np.nan)) == []

@@ -1,5 +1,7 @@
 """Polynomials of the temperature against simulated warm-ups whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,20 @@ def test_the_range_is_that_of_the_sensor_not_of_a_thermometer_that_lags():
     read = max(float(one.imus["imu0"].temperature.values.max()) for one in made.recordings)
     assert read < true - 0.4
     assert abs(result.high_degc - true) < 0.25
+
+
+def test_a_thermometer_that_counts_backwards_is_named():
+    scenario = TemperatureScenario(recordings=2, order=1, rate_hz=10.0, duration_s=600.0)
+    made = simulate_temperature(scenario, 10)
+
+    def codes(sign):
+        imus = [one.imus["imu0"] for one in made.recordings]
+        read = [replace(imu.temperature, values=sign * imu.temperature.values) for imu in imus]
+        recordings = [
+            gnomon.Recording(imus={"imu0": replace(imu, temperature=one)}) for imu, one in zip(imus, read, strict=True)
+        ]
+        result = gnomon.calibrate_temperature(recordings)
+        return {finding.code for finding in result.calibration.assessment.findings}
+
+    assert "temperature-falls" in codes(-1)
+    assert "temperature-falls" not in codes(1)

@@ -11,7 +11,7 @@ from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
-from .temperature_checks import check_temperature
+from .temperature_checks import check_thermometers
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
 _STEEP = 7.0  # that change from sample to sample, in units of the noise
@@ -198,10 +198,7 @@ def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding
     if recording.pieces or recording.poses is not None:
         return tuple(_check_poses(recording))
     findings = [finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests)]
-    for name, imu in recording.imus.items():
-        if imu.temperature is not None and len(imu.temperature) > 1:
-            findings += check_temperature(imu.temperature, f"{name} thermometer")
-    return tuple(findings)
+    return (*findings, *check_thermometers(recording.imus))
 
 
 def _check_poses(recording: Recording) -> list[Finding]:

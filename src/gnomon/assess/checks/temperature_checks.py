@@ -1,11 +1,12 @@
 """The doctor's look at the thermometer: what it tells, whether its unit is plausible, and the warm-up over."""
 
+from collections.abc import Mapping
 from math import log
 
 import numpy as np
 
 from ...findings import Finding, make_finding
-from ...recording import Floats, TemperatureSamples, smallest_steps
+from ...recording import Floats, ImuSamples, TemperatureSamples, smallest_steps
 
 _CHIP_DEGC = (-60.0, 130.0)
 _HOT_DEGC = 65.0
@@ -16,6 +17,16 @@ _NEAR_K = 0.5
 _RATIOS = (0.02, 0.9)
 """Change from the second to the last third over that from the first to the second, of which a time constant follows."""
 _PARTS = 300
+
+
+def check_thermometers(imus: Mapping[str, ImuSamples]) -> list[Finding]:
+    """Return findings on the thermometers of IMUs, of those that have one."""
+    return [
+        finding
+        for name, imu in imus.items()
+        if imu.temperature is not None and len(imu.temperature) > 1
+        for finding in check_temperature(imu.temperature, f"{name} thermometer")
+    ]
 
 
 def check_temperature(samples: TemperatureSamples, label: str) -> list[Finding]:
@@ -29,6 +40,10 @@ def check_temperature(samples: TemperatureSamples, label: str) -> list[Finding]:
     celsius = samples.celsius()
     if celsius is None:
         return [make_finding("temperature/counts", label=label)]
+    known = np.isfinite(celsius)
+    if np.count_nonzero(known) < 2:
+        return []
+    t_ns, celsius = samples.t_ns[known], celsius[known]
     middle = float(np.median(celsius))
     if not _CHIP_DEGC[0] <= middle <= _CHIP_DEGC[1]:
         return [make_finding("temperature-implausible", label=label, middle=middle, unit=samples.unit)]
@@ -37,7 +52,7 @@ def check_temperature(samples: TemperatureSamples, label: str) -> list[Finding]:
     step = float(smallest_steps(celsius[:, None])[0])
     if not np.isfinite(step):
         return [*findings, make_finding("temperature/one-value", label=label, middle=middle)]
-    seconds = (samples.t_ns - samples.t_ns[0]) * 1e-9
+    seconds = (t_ns - t_ns[0]) * 1e-9
     return [*findings, _course(seconds, celsius, step, label)]
 
 

@@ -12,6 +12,8 @@ _BRANCHES_SIGMAS, _BRANCHES_SHARE = 4.0, 0.05
 """When rising and falling differ: in sigmas, and of the change over the range."""
 _OFF_Z = 3.5
 _STIRRED = 0.02
+_FALL = 0.5
+"""Of the range, by which a temperature falls from the beginning to the end of a recording."""
 _SHOWN = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s^2")}
 
 
@@ -38,6 +40,8 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
         if (off := _off(triad)) is not None:
             axis, recording, z = off
             findings.append(make_finding("sensitivities-differ", name=name, axis=axis, recording=recording, z=z))
+    if (fall := _fall(result)) is not None:
+        findings.append(make_finding("temperature-falls", fall=fall))
     if result.lag_s:
         findings.append(make_finding("thermometer-lag", lag=result.lag_s, sigma=result.lag_sigma_s))
     if len(result.names) == 1:
@@ -50,6 +54,15 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
     if result.stirred > _STIRRED:
         findings.append(make_finding("warm-up-stirred", share=100 * result.stirred))
     return merge_by_cause(findings)
+
+
+def _fall(result: TemperatureResult) -> float | None:
+    """Return by how much the temperature falls in a recording, the least of all [K]; None where one does not."""
+    axis = next(iter(result.triads.values())).axes[0]
+    courses = [axis.degc[axis.warm_up == one] for one in np.unique(axis.warm_up)]
+    falls = [float(course[0] - course[-1]) for course in courses]
+    enough = result.supported_order and min(falls) > _FALL * (result.high_degc - result.low_degc)
+    return min(falls) if enough else None
 
 
 def _order_finding(name: str, triad: TriadOverTemperature, result: TemperatureResult) -> Finding:

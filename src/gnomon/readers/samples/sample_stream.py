@@ -21,11 +21,13 @@ class SampleStream:
     Attributes
     ----------
     accelerometer, gyroscope, magnetometer : iterators of TriadSamples, to be consumed once, or None
+    thermometer : whether the recording has one, whose readings are read as a whole
     """
 
     accelerometer: Blocks | None = None
     gyroscope: Blocks | None = None
     magnetometer: Blocks | None = None
+    thermometer: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

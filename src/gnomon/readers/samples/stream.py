@@ -6,12 +6,13 @@ file says, or gravity shows, takes precedence, so that a calibration for other u
 """
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import OptionError, RecordingError
-from ...recording import Floats, ImuSamples, Integers, TriadSamples
+from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..files import MAT_MAGIC, NPZ_MAGIC, first_bytes
@@ -28,7 +29,20 @@ def stream_of(samples: ImuSamples, block: int = 65_536, triads: Collection[str] 
             yield TriadSamples(t_ns=triad.t_ns[i : i + block], values=triad.values[i : i + block], unit=triad.unit)
 
     wanted = {name: getattr(samples, name) for name in TRIADS if name in triads}
-    return SampleStream(**{name: blocks(triad) for name, triad in wanted.items() if triad is not None and len(triad)})
+    there = {name: blocks(triad) for name, triad in wanted.items() if triad is not None and len(triad)}
+    return replace(SampleStream(), **there)
+
+
+def read_thermometer(
+    *paths: str | Path,
+    units: Units | None = None,
+    columns: str | None = None,
+    rate_hz: float | None = None,
+    imu: str = "imu0",
+) -> TemperatureSamples | None:
+    """Return the readings of the thermometer of an IMU; the recording is read as a whole, as by `read`."""
+    imus = read(*paths, columns=columns, rate_hz=rate_hz, units=units).imus
+    return (imus[imu] if imu in imus else next(iter(imus.values()))).temperature
 
 
 def open_stream(

@@ -63,7 +63,8 @@ def open_npz(
             }
     except ZIP_DAMAGE as error:
         raise _damaged(path, error) from None
-    return SampleStream(**{name: triad.blocks() for name, triad in streams.items()})
+    warm = _key(keys, imu, "temperature") is not None
+    return SampleStream(**{name: triad.blocks() for name, triad in streams.items()}, thermometer=warm)
 
 
 def _arrays(archive: zipfile.ZipFile, keys: set[str], imu: str) -> dict[str, SensorArray]:

@@ -89,7 +89,7 @@ def open_text(
         held = [which for which, place in enumerate(index) if place is not None]
         sides = shared_blocks(_blocks(plan, block_bytes, held), len(held))
         streams |= {TRIADS[which]: side for which, side in zip(held, sides, strict=True)}
-    return SampleStream(**streams)
+    return SampleStream(**streams, thermometer=any(table.temperature is not None for table in tables))
 
 
 def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, str]:
