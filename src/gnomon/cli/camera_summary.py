@@ -136,9 +136,11 @@ def camera_imu_lines(result: Result) -> Iterator[str]:
     yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
     tilt = hypot(*(p.sigma for p in diagnostics.parameters if p.name.startswith("gravity.direction")))
     down = " ".join(f"{value:.4f}" for value in diagnostics.gravity_target.tolist())
-    yield f"    on the board     {down} m/s^2" + (f", +- {degrees(tilt):.2g} deg" if tilt else "")
+    where = "on the board" if diagnostics.scene is None else "in the map"
+    yield f"    {where:<16} {down} m/s^2" + (f", +- {degrees(tilt):.2g} deg" if tilt else "")
+    what = "corners" if diagnostics.scene is None else f"sightings of {len(diagnostics.scene.points)} landmarks"
     for name, found in fit.frames_found.items():
-        yield f"  {name:<18} {fit.frames_used[name]} of {found} frames, {fit.corners_used[name]} corners"
+        yield f"  {name:<18} {fit.frames_used[name]} of {found} frames, {fit.corners_used[name]} {what}"
         yield f"    reprojection     {fit.reprojection_rms_px[name]:.3g} px (rms per axis)"
     yield "  noise found"
     for level in diagnostics.noise:

@@ -26,7 +26,8 @@ _MODELS = {
 def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> ReportPage:
     """Return the page of a camera-IMU calibration."""
     fit = calibration.assessment.camera_imu
-    views = {name: corner_view(corners) for name, corners in diagnostics.corners.items()}
+    word = "corner" if diagnostics.scene is None else "landmark"
+    views = {name: corner_view(corners, word) for name, corners in diagnostics.corners.items()}
     parts = (
         sections.camera_poses_section(calibration, diagnostics),
         sections.imu_section(calibration),
@@ -35,6 +36,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         evidence.camera_imu_residuals_section(diagnostics, views),
         images_section(diagnostics.corners),
         evidence.camera_imu_coverage_section(diagnostics, views),
+        evidence.scene_section(diagnostics),
         evidence.biases_section(diagnostics),
         parameters_section(diagnostics),
         sections.solution_section(diagnostics, converged=fit is None or fit.converged),
@@ -49,7 +51,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
 
 def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> tuple[KeyNumber, ...]:
     fit = calibration.assessment.camera_imu
-    numbers = [*_fit_numbers(fit)] if fit is not None else []
+    numbers = [*_fit_numbers(fit, before_board=diagnostics.scene is None)] if fit is not None else []
     shifts = {name: _in_ms(calibration, f"{name}.time_shift_cam_imu") for name in calibration.cameras}
     if shifts:
         first, *others = shifts
@@ -76,23 +78,24 @@ def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
     return tuple(numbers)
 
 
-def _fit_numbers(fit: CameraImuFit) -> tuple[KeyNumber, KeyNumber]:
+def _fit_numbers(fit: CameraImuFit, *, before_board: bool) -> tuple[KeyNumber, KeyNumber]:
     corners = sum(fit.corners_used.values())
     squares = [fit.corners_used[name] * rms**2 for name, rms in fit.reprojection_rms_px.items() if isfinite(rms)]
     pooled = float(np.sqrt(sum(squares) / corners)) if corners and squares else float("nan")
     each = "; ".join(f"{name} {number_text(rms, 3)}" for name, rms in fit.reprojection_rms_px.items())
     frames = "; ".join(f"{name} {used} of {fit.frames_found[name]}" for name, used in fit.frames_used.items())
     several = len(fit.frames_used) > 1
+    what, where = ("corners", "the board was") if before_board else ("sightings of landmarks", "landmarks were")
     return (
         KeyNumber(
             "Reprojection rms",
             f"{number_text(pooled, 3, trim=False)}\u00a0px",
-            f"per axis, of {corners} corners" + (f": {each}" if several else ""),
+            f"per axis, of {corners} {what}" + (f": {each}" if several else ""),
         ),
         KeyNumber(
             "Frames used",
             f"{sum(fit.frames_used.values())} of {sum(fit.frames_found.values())}",
-            frames if several else "of those in which the board was found",
+            frames if several else f"of those in which {where} found",
         ),
     )
 
@@ -124,6 +127,11 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
         "error of gravity is the same relative error of them.",
         f"The body frame is {calibration.frame}: {frame}. {_origin(calibration)}",
     ]
+    if diagnostics.scene is not None:
+        points.append(
+            "The scene stood still. How large it is follows from the accelerometer and from gravity alone, and with it "
+            "the translations."
+        )
     if status.get("target.scale", "fixed") == "fixed":
         shape = "" if "board" in assessment.trust.added else "flat and "
         points.append(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..recording import Floats
 from ..results.camera_diagnostics import CameraImuDiagnostics, SignalFit
 from . import camera_imu_signals
 from .camera_imu_signals import signal_name
@@ -132,18 +133,22 @@ def camera_imu_coverage_section(diagnostics: CameraImuDiagnostics, views: dict[s
     """Return what the recording covers: the image, rotation, acceleration, and the path."""
     blocks: list[Figure | ReportTable] = []
     if views:
+        word = next(iter(views.values())).word
         shares = {name: float(np.mean(view.density.count > 0)) for name, view in views.items()}
         reached = "; ".join(f"{name} {percent_text(part)}" for name, part in shares.items())
         blocks.append(
             Figure(
-                "Corners in the image",
+                f"{word.capitalize()}s in the image",
                 draw_corner_density(views),
-                caption="The stronger the colour, the more corners. Share of the image that they reached: "
+                caption=f"The stronger the colour, the more {word}s. Share of the image that they reached: "
                 f"{reached}. Elsewhere nothing tests the lens.",
             )
         )
     if len(diagnostics.trajectory.t_ns) > 1:
-        blocks += _motion(camera_imu_signals.rig_motion(diagnostics.trajectory, diagnostics.gravity_target))
+        blocks += _motion(
+            camera_imu_signals.rig_motion(diagnostics.trajectory, diagnostics.gravity_target),
+            before_board=diagnostics.scene is None,
+        )
     return Section(
         "coverage",
         "Coverage",
@@ -153,7 +158,7 @@ def camera_imu_coverage_section(diagnostics: CameraImuDiagnostics, views: dict[s
     )
 
 
-def _motion(motion: camera_imu_signals.RigMotion) -> list[Figure | ReportTable]:
+def _motion(motion: camera_imu_signals.RigMotion, *, before_board: bool) -> list[Figure | ReportTable]:
     rows: list[tuple[str, ...]] = []
     for label, values, unit in (("Angular rate", motion.rate, "°/s"), ("Acceleration", motion.acceleration, "m/s²")):
         for measure, of in (("rms", finite_rms), ("largest", largest_magnitude)):
@@ -178,9 +183,61 @@ def _motion(motion: camera_imu_signals.RigMotion) -> list[Figure | ReportTable]:
             "Path of the IMU",
             camera_imu_signals.draw_imu_path(motion),
             time_legends(motion.t_s),
-            "In the frame of the target: x and y in its plane, z along its normal.",
+            "In the frame of the target: x and y in its plane, z along its normal."
+            if before_board
+            else "In the frame of the map, whose axes are any.",
         ),
     ]
+
+
+def scene_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return the map of a scene without a board, and how its landmarks were seen; None before a board."""
+    scene = diagnostics.scene
+    if scene is None or not diagnostics.corners:
+        return None
+    fit = next(iter(diagnostics.corners.values()))
+    used = np.asarray(fit.frame_used, dtype=bool)
+    kept = used[fit.frame]
+    sightings = np.bincount(fit.point[kept], minlength=len(scene.points)).astype(np.float64)
+    in_frame = np.bincount(fit.frame[kept], minlength=len(used))[used].astype(np.float64)
+    rows = [
+        _spread("images in which a landmark is seen", sightings, ""),
+        _spread("landmarks in an image", in_frame, ""),
+        _spread("distance of a landmark from the middle of the path", _distances(diagnostics, scene.points), "m"),
+        _spread("σ of a landmark's place, its worst axis", scene.sigma.max(axis=1), "m"),
+    ]
+    return Section(
+        "scene",
+        "The scene",
+        f"{len(scene.points)} landmarks stand in for the corners of a board; their places were estimated jointly.",
+        (
+            Figure(
+                "Map",
+                camera_imu_signals.draw_scene(diagnostics.trajectory, diagnostics.gravity_target, scene, sightings),
+                (Legend("dot", "before", "landmark"), Legend("dot", "accent", "seen in few images"),
+                 *time_legends(_since_start(diagnostics))),
+                "Landmarks, and the path of the IMU coloured by time. Down is known from gravity; the heading is any.",
+            ),
+            ReportTable("In numbers", ("", "least", "median", "most"), rows),
+        ),
+    )  # fmt: skip
+
+
+def _spread(name: str, values: Floats, unit: str) -> tuple[str, ...]:
+    known = finite_values(values)
+    if not known.size:
+        return (name, *("",) * 3)
+    return (name, *(quantity_text(float(v), unit) if unit else number_text(float(v), 3)
+                    for v in (known.min(), np.median(known), known.max())))  # fmt: skip
+
+
+def _distances(diagnostics: CameraImuDiagnostics, points: Floats) -> Floats:
+    return np.linalg.norm(points - np.nanmean(diagnostics.trajectory.p_target_imu, axis=0), axis=1)
+
+
+def _since_start(diagnostics: CameraImuDiagnostics) -> Floats:
+    t_ns = diagnostics.trajectory.t_ns
+    return np.asarray((t_ns - t_ns[0]) * 1e-9, np.float64)
 
 
 def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:

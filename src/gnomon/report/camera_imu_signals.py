@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.quaternion import rotation_from_quaternion
+from ..geometry.so3 import tangent_basis
 from ..recording import Floats, Integers
-from ..results.camera_diagnostics import BiasTrack, SignalFit, TrajectoryTrack
+from ..results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
 from .corner_figures import TIMES, time_spans
 from .drawing.figures import (
     AXES,
@@ -15,6 +16,7 @@ from .drawing.figures import (
     WIDTH,
     Sheet,
     coarsen_envelope,
+    draw_dots,
     draw_envelope,
     draw_histograms,
     half_panel,
@@ -303,6 +305,39 @@ def draw_imu_path(motion: RigMotion) -> str:
         axes.x.span(middle[across] - span, middle[across] + span)
         axes.y.span(middle[up] - span, middle[up] + span)
     return sheet.draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.")
+
+
+def draw_scene(trajectory: TrajectoryTrack, gravity: Floats, scene: SceneMap, sightings: Floats) -> str:
+    """Draw the landmarks of a scene and the path of the IMU, from above and from the side.
+
+    Parameters
+    ----------
+    trajectory : of the IMU
+    gravity : (3,) in the same frame
+    scene : the landmarks, k of them
+    sightings : (k,) images in which each was seen
+    """
+    up = -gravity / np.linalg.norm(gravity)
+    axes = np.concatenate([tangent_basis(up), up[:, None]], axis=1)
+    step = max(1, len(trajectory.t_ns) // 1500)
+    t_s, path = (trajectory.t_ns[::step] - trajectory.t_ns[0]) * 1e-9, trajectory.p_target_imu[::step] @ axes
+    points = scene.points @ axes
+    few = sightings < 0.2 * np.median(sightings)
+    drawn = np.concatenate([points, path[np.isfinite(path).all(axis=1)]])
+    middle, span = (drawn.max(axis=0) + drawn.min(axis=0)) / 2, 0.54 * float(np.ptp(drawn, axis=0).max())
+    spans = time_spans(np.asarray(t_s, np.float64))
+    sheet = Sheet()
+    for k, (title, across, upward) in enumerate((("From above [m]", 0, 1), ("From the side [m]", 0, 2))):
+        panel = half_panel(sheet, title, k, top=36, height=314)
+        panel.x.grid = True
+        for i, name in enumerate(TIMES):
+            piece = (t_s >= spans[i]) & (t_s <= spans[i + 1])
+            panel.line(path[piece, across], path[piece, upward], name, width=1.3)
+        draw_dots(panel, points[~few, across], points[~few, upward], "before", size=3.5)
+        draw_dots(panel, points[few, across], points[few, upward], "accent", size=3.5)
+        panel.x.span(middle[across] - span, middle[across] + span)
+        panel.y.span(middle[upward] - span, middle[upward] + span)
+    return sheet.draw("scene", 396, f"Map of {len(points)} landmarks and the path, from above and from the side.")
 
 
 def _sampled(motion: RigMotion, most: int) -> Integers:

@@ -47,7 +47,7 @@ def corner_residuals(name: str, view: CornerView) -> str:
         scatter.line(radius * np.cos(turn), radius * np.sin(turn), "ink")
     scatter.x.span(-reach, reach)
     scatter.y.span(reach, -reach)  # v points down, as in the image
-    alt = f"Residuals of {len(residual)} corners of {name}: histograms along u and v, and a scatter coloured by time."
+    alt = f"Residuals of {len(residual)} {view.word}s of {name}: histograms along u and v, a scatter coloured by time."
     return sheet.draw(f"corners-{name}", 410, alt)
 
 
@@ -202,8 +202,8 @@ def view_groups(fit: CornerFit) -> dict[str, np.ndarray]:
     return {"used": used, "spare": spare & seen, "bad": ~used & ~spare & seen}
 
 
-def frames_over_time(name: str, fit: CornerFit, word: str) -> str:
-    """Draw the residual of every frame over time, those not needed and those left out marked, and its corners."""
+def frames_over_time(name: str, fit: CornerFit, word: str, point: str = "corner") -> str:
+    """Draw the residual of every frame over time, those not needed and those left out marked, and its points."""
     groups = view_groups(fit)
     t, order = fit.frame_t_s, np.argsort(fit.frame_t_s, kind="stable")
     good = fit.frame_rms[groups["used"] | groups["spare"]]
@@ -225,12 +225,12 @@ def frames_over_time(name: str, fit: CornerFit, word: str) -> str:
         log_limits(axes, fit.frame_rms, np.array([sigma]))
     else:
         set_y_limits(axes, fit.frame_rms, np.zeros(1))
-    below = sheet.panel(f"Corners in the {word}", top=294, height=96, x_label="time [s]")
+    below = sheet.panel(f"{point.capitalize()}s in the {word}", top=294, height=96, x_label="time [s]")
     draw_envelope(below, *coarsen_envelope(t[order], count, count, bins=400), "before")
     set_y_limits(below, count, np.zeros(1))
     below.y.most = 3
     for panel in (axes, below):
         panel.x.span(0, positive_or(highest_finite(t)))
     axes.x.labelled = False
-    alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int(groups['used'].sum())} were used."
+    alt = f"rms residual and number of {point}s of {len(t)} frames of {name}; {int(groups['used'].sum())} were used."
     return sheet.draw(f"{word}s-{name}", 456, alt)

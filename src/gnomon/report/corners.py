@@ -60,6 +60,7 @@ class CornerView:
     weighed_down : number of corners whose robust weight is below one
     reach : how far residuals are drawn [px]: four to six sigma, nearly all corners
     density, field : over the image, in fine and in coarse cells
+    word : what each is called
     """
 
     fit: CornerFit
@@ -69,10 +70,11 @@ class CornerView:
     reach: float
     density: ImageGrid
     field: ImageGrid
+    word: str = "corner"
 
 
-def corner_view(fit: CornerFit) -> CornerView:
-    """Return the corners of a camera as the figures need them."""
+def corner_view(fit: CornerFit, word: str = "corner") -> CornerView:
+    """Return the corners of a camera, or whatever `word` is seen instead, as the figures need them."""
     kept = np.asarray(fit.frame_used, dtype=bool)[fit.frame]
     for part in (fit.residual, fit.pixels):
         kept &= np.isfinite(part[:, 0]) & np.isfinite(part[:, 1])
@@ -88,6 +90,7 @@ def corner_view(fit: CornerFit) -> CornerView:
         reach=positive_or(float(np.clip(wanted, 4 * sigma, 6 * sigma)), positive_or(wanted)),
         density=_grid(pixels, residual, fit.resolution, DENSITY_COLUMNS),
         field=_grid(pixels, residual, fit.resolution, FIELD_COLUMNS),
+        word=word,
     )
 
 
@@ -141,14 +144,14 @@ def corner_scatter(name: str, view: CornerView) -> Figure:
     outside = int((np.fmax(*np.abs(view.residual.T)) > view.reach).sum())
     beyond = f", {outside} lie outside of what is drawn" if outside else ""
     step = figures.scatter_step(view)
-    share = f" The scatter shows one corner in {step}." if step > 1 else ""
+    share = f" The scatter shows one {view.word} in {step}." if step > 1 else ""
     normal = Legend("dash", "ink", f"normal, σ = {number_text(fit.sigma_px, 3)} px")
     along = (Legend("line", "x", "u"), Legend("line", "y", "v"))
     return Figure(
-        f"Corners of {name}",
+        f"{view.word.capitalize()}s of {name}",
         figures.corner_residuals(name, view),
         (*along, normal, *time_legends(view.t_s)),
-        f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
+        f"Predicted minus detected, of {len(view.residual)} {view.word}s; circles at 1, 2 and 3σ. "
         f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
     )
 
@@ -163,10 +166,10 @@ def frames_figure(name: str, view: CornerView, word: str = "frame") -> Figure:
     legend += [Legend("ring", "accent", "left out")] * bool(groups["bad"])
     return Figure(
         f"{word.capitalize()}s of {name}",
-        figures.frames_over_time(name, view.fit, word),
-        (*legend, Legend("dash", "ink", "σ of a corner")),
+        figures.frames_over_time(name, view.fit, word, view.word),
+        (*legend, Legend("dash", "ink", f"σ of a {view.word}")),
         f"{groups['used']} of {total} {word}s were used."
-        + (f" {empty} show no corner." if empty else "")
+        + (f" {empty} show no {view.word}." if empty else "")
         + (
             " The others have a pose of their own and the lens of these."
             if groups["spare"] + groups["bad"] and word == "view"
@@ -180,10 +183,11 @@ def field_figure(views: dict[str, CornerView]) -> Figure:
     longer = field_magnification(views)
     worst = {name: largest_magnitude(np.hypot(*view.field.mean.T)) for name, view in views.items()}
     longest = "; ".join(f"{name} {number_text(size, 2)} px" for name, size in worst.items() if isfinite(size))
+    word = next(iter(views.values())).word
     return Figure(
         "Mean residual over the image",
         figures.draw_residual_field(views),
-        caption=f"Arrows from the detected corners to the predicted ones, {number_text(longer)} times as long as "
+        caption=f"Arrows from the detected {word}s to the predicted ones, {number_text(longer)} times as long as "
         "they are. "
         "A swirl, or arrows that all point outwards or inwards, speak of intrinsics or a lens model that do not fit "
         "this camera." + (f" The longest: {longest}." if longest else ""),

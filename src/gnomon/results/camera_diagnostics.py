@@ -163,6 +163,20 @@ class SolverStep:
 
 
 @value_class
+class SceneMap:
+    """Landmarks of a scene without a board, in the target's frame.
+
+    Attributes
+    ----------
+    points : (k, 3) where they were found [m]
+    sigma : (k, 3) standard deviations along the axes, beside a shift, a turn or another size of the whole [m]
+    """
+
+    points: Floats
+    sigma: Floats
+
+
+@value_class
 class CameraImuDiagnostics:
     """How a camera-IMU calibration came about.
 
@@ -183,6 +197,7 @@ class CameraImuDiagnostics:
     segments : number of pieces of the trajectory
     baselines : "cam1_cam0" -> (4, 4) T_cam1_cam0
     initial_time_shift_s : "cam0" -> time shift found before the batch estimation
+    scene : landmarks, where there was no board; corners are then those of landmarks
     trust : what the recording tells of its own calibration's uncertainty
     """
 
@@ -202,6 +217,7 @@ class CameraImuDiagnostics:
     segments: int
     baselines: dict[str, Floats]
     initial_time_shift_s: dict[str, float]
+    scene: SceneMap | None = None
     trust: Trust | None = None
 
 

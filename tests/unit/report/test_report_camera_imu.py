@@ -19,7 +19,7 @@ from gnomon.report.corners import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter
 from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
 from gnomon.results.calibration import Covariance
-from gnomon.results.camera_diagnostics import SignalFit
+from gnomon.results.camera_diagnostics import SceneMap, SignalFit
 from html_page import Page
 
 
@@ -498,3 +498,16 @@ def test_a_solver_that_did_not_come_to_rest_is_said(short, page_of):
 def test_two_imus_are_told_apart():
     assert signal_name("imu0.gyroscope", ["imu0.accelerometer", "imu0.gyroscope"]) == "Gyroscope"
     assert signal_name("imu1.gyroscope", ["imu0.gyroscope", "imu1.gyroscope"]) == "Gyroscope of imu1"
+
+
+def test_without_a_board_there_are_landmarks_and_a_map(short, page_of):
+    count = 1 + max(int(fit.point.max()) for fit in short.diagnostics.corners.values())
+    points = np.random.default_rng(3).uniform(-2, 2, (count, 3))
+    scene = SceneMap(points=points, sigma=np.full((count, 3), 2e-3))
+    before, after = (page_of(one).text for one in (short, with_diagnostics(short, scene=scene)))
+    assert f"{count} landmarks stand in" in after
+    assert "Landmarks in the image" in after
+    assert "2 mm" in after.replace("\u00a0", " ")
+    for word in ("Corners of cam0", "Corners in the image", "of those in which the board was found"):
+        assert word in before
+        assert word not in after

@@ -31,10 +31,14 @@ from ...results.camera_diagnostics import (
     CornerFit,
     EstimatedParameter,
     NoiseLevel,
+    SceneMap,
     SignalFit,
     SolverStep,
     TrajectoryTrack,
 )
+
+NO_BOARD, NOTHING = "no board found", "no landmark found"
+"""Why a frame could not be used at all."""
 
 MISFIT = "fits badly as a whole"
 """Why a frame that has corners enough and lies on the trajectory was left out."""
@@ -105,6 +109,20 @@ def describe_camera_imu(evidence: CameraImuFitSummary) -> CameraImuDiagnostics:
         segments=len(grid.segments),
         baselines=_baselines(evidence),
         initial_time_shift_s={look.name: look.alignment.time_shift_s for look in evidence.looks},
+        scene=_scene(evidence, estimated),
+    )
+
+
+def _scene(evidence: CameraImuFitSummary, estimated: tuple[EstimatedParameter, ...]) -> SceneMap | None:
+    """Return where the landmarks are; None where there was a board."""
+    parameters = evidence.solution.state.parameters
+    if evidence.target.kind != "landmarks" or parameters.board is None:
+        return None
+    scale = parameters.target_scale
+    sigma = [one.sigma for one in estimated if one.name.startswith(f"{OFFSETS}[")]
+    return SceneMap(
+        points=scale * (parameters.board.points + parameters.board.offsets),
+        sigma=scale * np.reshape(sigma, (-1, 3)),
     )
 
 
@@ -238,7 +256,14 @@ def _corners(evidence: CameraImuFitSummary, camera: int, look: CameraAlignment) 
         frame_corners=corners,
         frame_rms=rms,
         frame_used=used,
-        frame_reason=_reasons(frames, corners, gathered, inside, used),
+        frame_reason=_reasons(
+            frames,
+            corners,
+            gathered,
+            inside,
+            used,
+            nothing=NOTHING if evidence.target.kind == "landmarks" else NO_BOARD,
+        ),
         frame=frames.frame,
         point=frames.point,
         pixels=frames.pixels,
@@ -252,14 +277,20 @@ def _corners(evidence: CameraImuFitSummary, camera: int, look: CameraAlignment) 
 
 
 def _reasons(
-    frames: CameraFrames, corners: np.ndarray, gathered: np.ndarray, inside: np.ndarray, used: np.ndarray
+    frames: CameraFrames,
+    corners: np.ndarray,
+    gathered: np.ndarray,
+    inside: np.ndarray,
+    used: np.ndarray,
+    *,
+    nothing: str,
 ) -> tuple[str, ...]:
-    """Return why each frame was not used."""
+    """Return why each frame was not used; `nothing` is why one without corners was not."""
     reasons = np.full(len(frames.t_ns), "", dtype=object)
     reasons[~used] = MISFIT
     reasons[~inside] = "outside of the trajectory"
     reasons[~gathered] = "too few corners"
-    reasons[corners == 0] = "no board found"
+    reasons[corners == 0] = nothing
     return tuple(reasons.tolist())
 
 

@@ -12,7 +12,7 @@ from ..checks.clock_drift import check_drift
 from ..directions import across_words, axis_words
 from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, verdict_of
 from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
-from .camera_imu_tables import MISFIT, CameraImuFitSummary
+from .camera_imu_tables import MISFIT, NO_BOARD, NOTHING, CameraImuFitSummary
 from .rig_residuals import cut_findings, residual_findings
 
 _HELD = 0.3
@@ -170,7 +170,8 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
             continue
         reasons = diagnostics.corners[name].frame_reason
         counts = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons) if reason}
-        counts.pop("no board found", None)
+        for nothing in (NO_BOARD, NOTHING):
+            counts.pop(nothing, None)
         why = ", ".join(f"{count} {_plainly(reason)}" for reason, count in counts.items())
         findings.append(
             make_finding(

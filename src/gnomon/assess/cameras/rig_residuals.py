@@ -15,15 +15,16 @@ _WALKS, _LEAST_RAD_S = 5.0, np.radians(0.1)
 
 def residual_findings(diagnostics: CameraImuDiagnostics) -> list[Finding]:
     """Return findings of codes corners-outlying and gyroscope-drift."""
-    findings = [finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit)]
+    points = "corners" if diagnostics.scene is None else "landmarks"
+    findings = [finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit, points)]
     for name, track in diagnostics.biases.items():
         if name.endswith(".gyroscope"):
             findings += _drift(name, track)
     return findings
 
 
-def outlying_corners(name: str, fit: CornerFit) -> list[Finding]:
-    """Return what to say where many corners lie far from where they should."""
+def outlying_corners(name: str, fit: CornerFit, points: str = "corners") -> list[Finding]:
+    """Return what to say where many corners, or whatever `points` are seen instead, lie far from where they should."""
     used = fit.frame_used[fit.frame] & np.isfinite(fit.residual[:, 0])
     if not used.any():
         return []
@@ -39,6 +40,7 @@ def outlying_corners(name: str, fit: CornerFit) -> list[Finding]:
             severity="warning" if many else "info",
             case="many" if many else "",
             share=share,
+            points=points,
             name=name,
             far=_FAR,
             far_px=_FAR * fit.sigma_px,
