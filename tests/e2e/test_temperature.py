@@ -162,6 +162,32 @@ def test_warm_ups_and_turned_recordings_are_told_apart_and_joined(oven, warm_ups
     assert "one-attitude" not in {finding.code for finding in result.calibration.assessment.findings}
 
 
+@pytest.mark.long
+def test_it_is_verified_and_compared_at_the_temperature_of_a_recording(oven, run, tmp_path):
+    made, paths = oven
+    assert run("temperature", *paths, "-o", tmp_path / "found", "--no-report")[0] == 0
+    known = gnomon.load(tmp_path / "found")
+    # The same seed and range are the same sensor; the fourth of five is at 34 degC.
+    fresh = simulate_temperature(replace(SCENARIO, turned=True, rate_hz=100.0, recordings=5), 12).recordings[3]
+    assert gnomon.verify(known, fresh).state == "holds"
+    imu = replace(known.imus["imu0"], temperature=None)
+    kept = [i for i, name in enumerate(known.uncertainty.names) if ".temperature." not in name]
+    names = tuple(known.uncertainty.names[i] for i in kept)
+    fixed = replace(known.uncertainty, names=names, matrix=known.uncertainty.matrix[np.ix_(kept, kept)])
+    assert gnomon.verify(replace(known, imus={"imu0": imu}, uncertainty=fixed), fresh).state == "moved"
+    with pytest.raises(gnomon.OptionError, match="tells none"):
+        gnomon.verify(known, without_thermometer(fresh))
+    first, last = (gnomon.calibrate_imu(made.recordings[i]).calibration for i in (0, 2))
+    hot = float(made.degc[2].mean())
+    at_its_own = gnomon.compare(known, last, temperature_c=hot)
+    assert at_its_own.verdict != "fail"
+    assert gnomon.compare(known, first, temperature_c=hot).verdict == "fail"
+    gnomon.save(last, tmp_path / "a.yaml")
+    code, _, err = run("compare", tmp_path / "found", tmp_path / "a.yaml", "--temperature-c", hot, "--no-report")
+    assert code == 0, err
+    assert run("compare", tmp_path / "found", tmp_path / "a.yaml", "--temperature-c", 90, "--no-report")[0] == 2
+
+
 def test_turned_recordings_at_one_temperature_are_refused(oven):
     same = replace(SCENARIO, turned=True, rate_hz=50.0, start_degc=20.0, end_degc=20.0, intervals=12)
     with pytest.raises(gnomon.RecordingError, match="3 temperatures or more"):

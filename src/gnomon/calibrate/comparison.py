@@ -21,6 +21,7 @@ def compare(
     *calibrations: CalibrationSource,
     names: Sequence[str] | None = None,
     rename: Mapping[str, Mapping[str, str]] | None = None,
+    temperature_c: float | None = None,
 ) -> Comparison:
     """Compare calibrations of one rig, made by any program.
 
@@ -34,11 +35,13 @@ def compare(
         Kalibr's camchain-imucam.yaml and imu.yaml) as a sequence
     names : what each is called; by default taken from the paths, else A, B, C, ...
     rename : calibration's name -> sensors that are called otherwise there, such as {"kalibr": {"cam1": "cam0"}}
+    temperature_c : of the chip [degC], at which those are compared that know how they change; by default at the
+        reference of each
 
     Raises
     ------
     OptionError
-        If there are fewer than two, they have nothing in common, or a name is wrong.
+        If there are fewer than two, they have nothing in common, a name is wrong, or one does not know the temperature.
     FormatError
         If a file cannot be read, or two calibrations are for measurements in different units.
 
@@ -53,12 +56,20 @@ def compare(
     if unknown:
         raise OptionError(f'"{unknown[0]}" is none of the calibrations. They are called: {", ".join(called)}.')
     candidates = [
-        ComparisonCandidate.of(name, _loaded(source)) for name, source in zip(called, calibrations, strict=True)
+        ComparisonCandidate.of(name, _loaded(source, temperature_c))
+        for name, source in zip(called, calibrations, strict=True)
     ]
     return compare_candidates([one.renamed(renamed[one.name]) if one.name in renamed else one for one in candidates])
 
 
-def _loaded(source: CalibrationSource) -> Calibration | ForeignCalibration:
+def _loaded(source: CalibrationSource, temperature_c: float | None) -> Calibration | ForeignCalibration:
+    known = _read(source)
+    if temperature_c is None or isinstance(known, ForeignCalibration):
+        return known
+    return known.at_temperature(temperature_c)
+
+
+def _read(source: CalibrationSource) -> Calibration | ForeignCalibration:
     match source:
         case Calibration() | ForeignCalibration():
             return source

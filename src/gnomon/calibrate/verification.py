@@ -19,6 +19,7 @@ from ..options import CameraImuOptions, CameraOptions
 from ..options.requirements import Use
 from ..progress import Progress
 from ..recording import Recording, shared_sources
+from ..recording.thermometer import known_readings
 from ..results.calibration import Calibration, Covariance
 from ..results.result import Result
 from .camera_imu import calibrate_camera_imu
@@ -41,6 +42,8 @@ def verify(
 ) -> Verification:
     """Tell whether a calibration still holds, from a fresh recording of the same sensors.
 
+    A calibration that knows how it changes with the temperature is taken as it is at that of the recording.
+
     Parameters
     ----------
     calibration : which is verified: gnomon's or another project's, or its file or files
@@ -52,8 +55,8 @@ def verify(
     Raises
     ------
     OptionError
-        If recording and calibration are of different sensors, the calibration was made from that very recording, or the
-        board is missing.
+        If recording and calibration are of different sensors, the calibration was made from that very recording, the
+        board is missing, or the temperature, which the calibration needs, is not known or beyond its range.
     RecordingError, DetectionError, InitialisationError, SolveError
         If the recording cannot be used.
 
@@ -63,6 +66,7 @@ def verify(
     >>> found.state, [block.path for block in found.moved]  # doctest: +SKIP
     """
     known = calibration if isinstance(calibration, Calibration | ForeignCalibration) else _loaded(calibration)
+    known = _at_its_temperature(known, recording)
     frozen = ComparisonCandidate.of("the calibration", known)
     wide = None
     if isinstance(recording, Recording):
@@ -84,6 +88,31 @@ def _loaded(source: Result | str | PathLike[str] | Sequence[str | PathLike[str]]
     if isinstance(source, Result):
         return source.calibration
     return load_any(source) if isinstance(source, str | PathLike) else load_any(*source)
+
+
+def _at_its_temperature(
+    known: Calibration | ForeignCalibration, recording: Recording | Result | Calibration
+) -> Calibration | ForeignCalibration:
+    """Return the calibration as it is at the mean temperature of a recording."""
+    if isinstance(known, ForeignCalibration) or not any(
+        imu.temperature is not None and imu.temperature.changes for imu in known.imus.values()
+    ):
+        return known
+    degc: float | None = None
+    if isinstance(recording, Recording):
+        warm = [imu.temperature for imu in recording.imus.values() if imu.temperature is not None]
+        read = [readings for one in warm if (readings := known_readings(one)) is not None]
+        degc = float(np.mean(read[0][1])) if read else None
+    else:
+        fresh = recording.calibration if isinstance(recording, Result) else recording
+        stated = fresh.provenance.options.get("temperature_c")
+        degc = None if stated is None else float(stated)
+    if degc is None:
+        raise OptionError(
+            "the calibration depends on the temperature, and the recording tells none. Record the chip's thermometer "
+            "in a column such as temp_degC."
+        )
+    return known.at_temperature(degc)
 
 
 def _estimated(

@@ -17,6 +17,7 @@ from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
 from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
+from .at_temperature import imus_at_temperature
 from .parameter_units import element_units
 from .parameters import calibration_parameters, covariance_names, element_names, moved_into_frame, moved_to_origin
 from .sensors import (
@@ -305,6 +306,27 @@ class Calibration:
         matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
+
+    def at_temperature(self, degc: float) -> Self:
+        """Return the calibration as it is at a temperature of the chip, on which it then depends no longer.
+
+        One that knows no temperature stays as it is.
+
+        Parameters
+        ----------
+        degc : of all its IMUs [degC]
+
+        Raises
+        ------
+        OptionError
+            If it is beyond the range in which the calibration knows it.
+        """
+        if all(imu.temperature is None for imu in self.imus.values()):
+            return self
+        moved = imus_at_temperature(self.imus, self.cameras, degc)
+        matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
+        uncertainty = Covariance(names=covariance_names(moved.imus, self.cameras), matrix=matrix)
+        return replace(self, imus=moved.imus, uncertainty=uncertainty)
 
     def with_origin(self, origin: str | Origin) -> Self:
         """Return the same calibration with the origin of each IMU at another point, its covariance too.

@@ -11,7 +11,9 @@ import pytest
 
 import gnomon
 from gnomon.formats.foreign_files import load_any
-from gnomon.results.calibration import Covariance, covariance_names
+from gnomon.recording import ImuSamples, TemperatureSamples, TriadSamples
+from gnomon.results.at_temperature import imus_at_temperature
+from gnomon.results.calibration import Covariance, calibration_parameters, covariance_names
 from gnomon.results.sensors import TemperatureDependence
 from gnomon.simulate import Scenario, simulate
 
@@ -131,3 +133,50 @@ def test_frames_leave_it_as_it_is(calibration):
     assert np.array_equal(moved.imus["imu0"].temperature.gyroscope_bias, FOUND.gyroscope_bias)
     path = "imu0.temperature.gyroscope_bias"
     assert np.array_equal(moved.covariance(path), calibration.covariance(path))
+
+
+def test_a_calibration_at_one_temperature_corrects_the_same(calibration):
+    rng = np.random.default_rng(1)
+    t_ns = np.arange(50) * 10**7
+    recorded = ImuSamples(
+        accelerometer=TriadSamples(t_ns=t_ns, values=rng.normal(size=(50, 3)), unit="m/s^2"),
+        gyroscope=TriadSamples(t_ns=t_ns, values=rng.normal(size=(50, 3)), unit="rad/s"),
+        temperature=TemperatureSamples(t_ns=t_ns[[0, -1]], values=np.full(2, 40.0), unit="degC"),
+    )
+    there = calibration.at_temperature(40.0)
+    wanted, found = (one.imus["imu0"].apply(recorded) for one in (calibration, there))
+    for name in ("accelerometer", "gyroscope"):
+        assert np.allclose(getattr(found, name).values, getattr(wanted, name).values, rtol=0, atol=1e-12)
+    with pytest.raises(gnomon.OptionError, match="not at 60"):
+        calibration.at_temperature(60.0)
+
+
+def test_the_covariance_at_one_temperature_is_that_of_drawn_calibrations(calibration):
+    rng = np.random.default_rng(2)
+    names, n = covariance_names(calibration.imus), 40
+    sigma = np.sqrt(np.diag(calibration.uncertainty.matrix)) * 1e-3
+    there = calibration.at_temperature(45.0)
+    flat = np.concatenate([value.ravel() for _, value in calibration_parameters(there.imus)])
+    jacobian = imus_at_temperature(calibration.imus, {}, 45.0).jacobian
+    imu = calibration.imus["imu0"]
+    for _ in range(n):
+        drawn = sigma * rng.standard_normal(len(names))
+        at, changed = 0, {}
+        for path, value in calibration_parameters(calibration.imus):
+            changed[path] = value + drawn[at : at + value.size].reshape(value.shape)
+            at += value.size
+        moved = replace(
+            imu,
+            accelerometer=replace(
+                imu.accelerometer, sensitivity=changed["imu0.accelerometer.sensitivity"],
+                bias=changed["imu0.accelerometer.bias"],
+            ),
+            gyroscope=replace(
+                imu.gyroscope, sensitivity=changed["imu0.gyroscope.sensitivity"], bias=changed["imu0.gyroscope.bias"],
+                g_sensitivity=changed["imu0.gyroscope.g_sensitivity"],
+            ),
+            temperature=replace(FOUND, **{p: changed[f"imu0.temperature.{p}"] for p, _ in FOUND.parts()}),
+        )  # fmt: skip
+        after = imus_at_temperature({"imu0": moved}, {}, 45.0).imus
+        exact = np.concatenate([value.ravel() for _, value in calibration_parameters(after)]) - flat
+        assert np.allclose(exact, jacobian @ drawn, rtol=0, atol=1e-3 * np.abs(exact).max())

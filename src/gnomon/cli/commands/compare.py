@@ -39,6 +39,8 @@ class Compare(Command):
     imucal's, imu_tk's. NAME= says what it is called (default: the part of the path that tells it from the others)."""
     rename: Annotated[tuple[str, ...], Argument(metavar="NAME.OLD=NEW")] = ()
     """Sensors that are called otherwise in one of them, such as kalibr.cam1=cam0; else they are matched by name."""
+    temperature_c: float | None = None
+    """Temperature of the chip at which those are compared that know it (default: the reference of each)."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
     report: bool = True
@@ -63,7 +65,9 @@ class Compare(Command):
             old, _, new = text.partition("=")
             name, _, sensor = old.rpartition(".")
             renames.setdefault(name, {})[sensor] = new
-        found = compare_calibrations(*(paths for _, paths in sources), names=names, rename=renames)
+        found = compare_calibrations(
+            *(paths for _, paths in sources), names=names, rename=renames, temperature_c=self.temperature_c
+        )
         folder = self.output or default_folder((_place(sources[0][1][0]),), "compare")
         if self.report:
             _write(found, folder, terminal)
