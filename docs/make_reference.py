@@ -28,6 +28,7 @@ from gnomon.options import (
     NoiseOptions,
     TurntableOptions,
 )
+from gnomon.results.plotting import Plotted
 from gnomon.simulate import (
     CameraImuPlan,
     CameraImuScenario,
@@ -261,7 +262,8 @@ def _described(name: str, thing: Any) -> Iterator[str]:
     yield _block(f"gnomon.{name}", thing.__doc__)
     if is_dataclass(thing):
         yield from _fields_line(thing)
-    for member, function in vars(thing).items():
+    shared = Plotted.__dict__ if issubclass(thing, Plotted) else {}
+    for member, function in {**vars(thing), **shared}.items():
         if member.startswith("_") or not hasattr(function, "__doc__") or not _is_own(function):
             continue
         bare = getattr(function, "fget", None) or getattr(function, "__func__", function)

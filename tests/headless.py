@@ -83,7 +83,7 @@ class Browser:
         """Return the value of an expression in the page."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
-        return answer["result"]["value"]
+        return answer["result"].get("value")  # a call that gives nothing has none
 
     def problems(self):
         """Return what the page complained about: exceptions, errors and warnings of the log, requests to anywhere."""

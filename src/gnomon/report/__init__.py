@@ -7,7 +7,6 @@ it, camera_imu.py what a camera-IMU calibration does, cameras.py what one of cam
 from pathlib import Path
 
 from ..output import write_whole
-from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from ..results.result import Result
 
 
@@ -27,18 +26,6 @@ def write_report(result: Result, path: str | Path) -> None:
         If the file cannot be written.
     """
     from .page import render_page
+    from .plots import result_page
 
-    calibration, diagnostics = result.calibration, result.diagnostics
-    if isinstance(diagnostics, CameraImuDiagnostics):
-        from .camera_imu import camera_imu_page
-
-        page = camera_imu_page(calibration, diagnostics)
-    elif isinstance(diagnostics, CamerasDiagnostics):
-        from .cameras import cameras_page
-
-        page = cameras_page(calibration, diagnostics)
-    else:
-        from .static import static_page
-
-        page = static_page(calibration, diagnostics)
-    write_whole(path, render_page(page))
+    write_whole(path, render_page(result_page(result)))

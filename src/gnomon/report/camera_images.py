@@ -8,6 +8,7 @@ from ..recording import Floats, FrameQuality
 from ..results.camera_diagnostics import CornerFit
 from .drawing.figures import (
     WIDTH,
+    Plot,
     Sheet,
     coarsen_envelope,
     draw_dots,
@@ -64,7 +65,7 @@ def _over_time(name: str, fit: CornerFit, quality: FrameQuality) -> Figure:
     )
 
 
-def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
+def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> Plot:
     """Draw blur, exposure and number of corners of every frame over time."""
     order = np.argsort(fit.frame_t_s, kind="stable")
     t = fit.frame_t_s[order]
@@ -90,6 +91,7 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
     panels[2].y.most = 3
     for panel in panels:
         panel.x.span(0, positive_or(highest_finite(t)))
+        panel.x.timed = True
         panel.x.labelled = panel is panels[-1]
     alt = (
         f"Blur, exposure and number of corners of {len(t)} frames of {name}; the median blur is {_median(blur, 2)} px."
@@ -143,7 +145,7 @@ def _by_sigma(fit: CornerFit) -> tuple[Floats, Floats]:
     return median, scatter
 
 
-def draw_corner_sigmas(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
+def draw_corner_sigmas(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> Plot:
     """Draw the distribution of the corners' standard deviations, and their residuals against them."""
     assert fit.corner_sigma_px is not None
     known = finite_values(fit.corner_sigma_px)

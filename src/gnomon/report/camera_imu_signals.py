@@ -14,6 +14,7 @@ from .drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     WIDTH,
+    Plot,
     Sheet,
     coarsen_envelope,
     draw_dots,
@@ -66,7 +67,7 @@ def telling_section(fit: SignalFit, length_s: float = ZOOM_S) -> tuple[float, fl
     return first, first + length_s
 
 
-def draw_signal_overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
+def draw_signal_overview(name: str, fit: SignalFit, section: tuple[float, float]) -> Plot:
     """Draw a signal over the whole recording, and what the predictions leave of it, per axis."""
     end = positive_or(highest_finite(fit.t_s))
     model, basic = signal_residual(fit, fit.predicted), signal_residual(fit, fit.basic)
@@ -92,6 +93,7 @@ def draw_signal_overview(name: str, fit: SignalFit, section: tuple[float, float]
         panels.append(panel)
     for panel in panels:
         panel.x.span(0, end)
+        panel.x.timed = True
         panel.x.labelled = panel is panels[-1]
         for edge in section:
             panel.upright(edge, "ink", dash=DASHED)
@@ -117,7 +119,7 @@ def _reach(fit: SignalFit, *residuals: Floats) -> float:
     return 1.08 * positive_or(max(most, 3 * positive_or(fit.sigma, 0.0)))
 
 
-def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
+def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> Plot:
     """Draw a section of a signal as measured and as predicted, and the residual (Krebs, Figs. 5.6, B.9-B.14)."""
     first, last = np.searchsorted(fit.t_s, section)
     near = slice(int(first), int(last))
@@ -146,6 +148,7 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
         below.y.most = 3
         for panel in (axes, below):
             panel.x.span(*section)
+            panel.x.timed = True
             panel.x.labelled = panel is below and i == 2
     alt = f"{name} between {section[0]:.1f} and {section[1]:.1f} s: measured and predicted, and their difference."
     return sheet.draw(f"section-{name.replace('.', '-')}", 930, alt)
@@ -160,7 +163,7 @@ def _line(panel: Panel, t: Floats, values: Floats, color: str, width: float = 1.
         draw_envelope(panel, *coarsen_envelope(t, values, values, bins=_FINEST), color)
 
 
-def draw_normalised_residuals(signals: dict[str, SignalFit]) -> str:
+def draw_normalised_residuals(signals: dict[str, SignalFit]) -> Plot:
     """Draw histograms of the residuals over their sigma, per axis, with the standard normal distribution."""
     names = list(signals)
     pitch, top = 330.0, 36.0
@@ -177,7 +180,7 @@ def draw_normalised_residuals(signals: dict[str, SignalFit]) -> str:
     return sheet.draw("normalised", pitch * -(-len(names) // 2), alt)
 
 
-def bias_figure(biases: dict[str, BiasTrack]) -> str:
+def bias_figure(biases: dict[str, BiasTrack]) -> Plot:
     """Draw the biases less their means, with sigma bands, and the bounds of the random walk that was assumed."""
     pitch = 258.0
     last = list(biases)[-1]
@@ -202,6 +205,7 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
             panel.line(t, (low + high) / 2 * factor, axis, width=1.6)
         panel.y.span(-reach * factor, reach * factor)
         panel.x.span(0, positive_or(highest_finite(track.t_s)))
+        panel.x.timed = True
         panel.x.labelled = name == last
     alt = "Biases of the IMU over time, about their means, with one sigma; dashed, three sigma of the random walk."
     return sheet.draw("biases", pitch * len(biases) + 42, alt)
@@ -247,7 +251,7 @@ def rig_motion(track: TrajectoryTrack, gravity_target: Floats) -> RigMotion:
     return RigMotion(t_s=t, rate=track.omega_imu * _DEG, acceleration=acceleration, position=track.p_target_imu)
 
 
-def axes_of_rotation(motion: RigMotion) -> str:
+def axes_of_rotation(motion: RigMotion) -> Plot:
     """Draw the axes about which the rig turned, in the body frame, where it turned fast enough to tell."""
     speed = np.linalg.norm(motion.rate, axis=1)
     fast = speed > _FASTER_THAN * finite_rms(speed)
@@ -267,7 +271,7 @@ def axes_of_rotation(motion: RigMotion) -> str:
     return sheet.draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.")
 
 
-def draw_motion_histograms(motion: RigMotion) -> str:
+def draw_motion_histograms(motion: RigMotion) -> Plot:
     """Draw histograms of angular rate and linear acceleration per axis."""
     parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
 
@@ -281,7 +285,7 @@ def draw_motion_histograms(motion: RigMotion) -> str:
     return sheet.draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.")
 
 
-def draw_imu_path(motion: RigMotion) -> str:
+def draw_imu_path(motion: RigMotion) -> Plot:
     """Draw the path of the IMU in the target's frame, from the front and along its y axis, coloured by time."""
     kept = _sampled(motion, 1500)
     high = np.array([highest_finite(axis) for axis in motion.position.T])

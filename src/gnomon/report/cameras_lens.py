@@ -20,7 +20,7 @@ from ..results.camera_diagnostics import LensTrial
 from .corner_figures import image_panels, images_height
 from .corners import CornerView
 from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Sheet, draw_dots
+from .drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
 from .drawing.panel import DASHED
 from .numbers import finite_values, highest_finite, number_text, positive_or
 
@@ -233,7 +233,7 @@ _ROW, _LEFT, _LEAST = 26.0, 220.0, 150.0
 """Height of a row, where the rows begin, and how high all rows are together at least, for small screens."""
 
 
-def draw_lens_curve(name: str, found: RadialCurve) -> str:
+def draw_lens_curve(name: str, found: RadialCurve) -> Plot:
     """Draw radius over angle with those of an ideal pinhole and of equal angles, and its standard deviation below."""
     angle = np.degrees(found.angle)
     top = 1.06 * positive_or(highest_finite(found.radius))
@@ -262,7 +262,7 @@ def draw_lens_curve(name: str, found: RadialCurve) -> str:
     return sheet.draw(f"curve-{name}", 518, alt)
 
 
-def draw_lens_grid(name: str, camera: Camera) -> str:
+def draw_lens_grid(name: str, camera: Camera) -> Plot:
     """Draw rows and columns of pixels as they lie when the image is straightened, and the frame of the image."""
     lines = undistorted_grid(camera)
     drawn = np.concatenate(lines)
@@ -286,7 +286,7 @@ def draw_lens_grid(name: str, camera: Camera) -> str:
     return sheet.draw(f"grid-{name}", tall + 26, f"The pixels of {name} after its lens was taken off.")
 
 
-def draw_ray_sigmas(views: Mapping[str, CornerView], found: Mapping[str, ProjectionSpread]) -> str:
+def draw_ray_sigmas(views: Mapping[str, CornerView], found: Mapping[str, ProjectionSpread]) -> Plot:
     """Draw the standard deviation of the image of a ray over the image, with numbers; grey where no corners were."""
     values = np.concatenate([finite_values(one.sigma) for one in found.values()])
     low, high = (float(values.min()), float(values.max())) if values.size and values.min() > 0 else (1.0, 2.0)
@@ -308,7 +308,7 @@ def draw_ray_sigmas(views: Mapping[str, CornerView], found: Mapping[str, Project
                 if np.isfinite(one.sigma[k]):
                     at = one.corner[k] + np.array(one.size) / 2
                     seen = bool(one.seen[k])
-                    style = svg.text_style("ink" if seen else "muted", TEXT, "center", bold=seen)
+                    style = svg.TextStyle(color="ink" if seen else "muted", size=TEXT, align="center", bold=seen)
                     text = number_text(float(one.sigma[k]), 2, trim=False)
                     panel.text(text, float(at[0]), float(at[1]), style, offset=(0.0, 4.0))
     return sheet.draw("spread", images_height(views), "Standard deviation of the image of a ray over the image.")
@@ -329,7 +329,7 @@ def _rim(one: ProjectionSpread) -> np.ndarray:
     return np.concatenate(lines) if lines else np.full((1, 2), np.nan)
 
 
-def draw_lens_trials(name: str, tried: list[LensTrial]) -> str:
+def draw_lens_trials(name: str, tried: list[LensTrial]) -> Plot:
     """Draw the residuals of the lens models that were tried on one camera, held out and used, a row each."""
     height = max(_ROW * len(tried), _LEAST)
 

@@ -13,7 +13,7 @@ from .cameras_lens import ProjectionSpread, RadialCurve
 from .cameras_views import epipolar_errors
 from .corner_figures import draw_arrows, draw_corner_coverage, unseen_places
 from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
-from .drawing.figures import WIDTH, Sheet, draw_dots
+from .drawing.figures import WIDTH, Plot, Sheet, draw_dots
 from .drawing.rig import rig_drawing
 from .numbers import (
     MISSING,
@@ -393,7 +393,7 @@ def _magnification(points: Floats, shifts: Floats) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.0001))
 
 
-def draw_board_shape(points: Floats, shifts: Floats, longer: float) -> str:
+def draw_board_shape(points: Floats, shifts: Floats, longer: float) -> Plot:
     """Draw the points with dots for how high they are and arrows for how they are shifted in the plane."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     room = 0.09 * positive_or(float((high - low).max()))

@@ -12,7 +12,7 @@ from ..recording import Floats, Integers
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CornerFit, ViewPose
 from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Sheet, draw_dots, fit_to_scale, half_panel
+from .drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots, fit_to_scale, half_panel
 from .drawing.panel import Panel
 from .numbers import finite_values, number_text, positive_or
 
@@ -108,38 +108,38 @@ def _pyramids(around: ViewsAround) -> tuple[Floats, Floats]:
     return outline, around.telling[chosen]
 
 
-def draw_scene(around: ViewsAround) -> str:
+def draw_scene(around: ViewsAround) -> Plot:
     """Draw the cameras as pyramids about the board, seen from the side, a little from above."""
     outlines, telling = _pyramids(around)
 
     sheet = Sheet()
     panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
-    board, flat = _flat(around.board), _flat(outlines)
-    fit_to_scale(panel, np.concatenate([board, flat.reshape(-1, 2)]), _HEIGHT, room=(60, 40))
-    panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
+    board, flat = _seen(around.board), _seen(outlines)
+    fit_to_scale(panel, np.concatenate([board, flat.reshape(-1, 3)]), _HEIGHT, room=(60, 40))
+    panel.line(board[:, 0], board[:, 1], "ink", width=1.6, depth=board[:, 2])
     wide = f"{number_text(float(np.ptp(around.board[:, 0])), 3)} m"
-    x, y = board[:2].mean(axis=0).tolist()
-    panel.text(wide, x, y, svg.text_style("muted", TEXT, "center"), offset=(0.0, 28.0))
-    points = _flat(around.points)
-    draw_dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
+    x, y, depth = board[:2].mean(axis=0).tolist()
+    panel.text(wide, x, y, svg.TextStyle(color="muted", size=TEXT, align="center"), offset=(0.0, 28.0), depth=depth)
+    points = _seen(around.points)
+    panel.dots(points[:, 0], points[:, 1], "before", 2.2, depth=points[:, 2])
     _draw_outlines(panel, flat, telling)
     return sheet.draw("scene", _HEIGHT, f"{len(around.position)} views of the board, as pyramids around it.")
 
 
-def _flat(points: Floats) -> Floats:
-    """Project points (..., 3) to the page (..., 2), y up."""
-    return (points @ _LOOK.T)[..., :2]
+def _seen(points: Floats) -> Floats:
+    """Return points (..., 3) as right, up and towards the reader."""
+    return points @ _LOOK.T
 
 
 def _draw_outlines(panel: Panel, flat: Floats, telling: np.ndarray) -> None:
-    """Draw outlines (n, 11, 2), the most informative ones above the others."""
+    """Draw outlines (n, 11, 2 or 3), the most informative ones above the others."""
     for color, width, chosen in (("after", 0.8, ~telling), ("accent", 1.5, telling)):
-        gap = np.full((int(chosen.sum()), 1, 2), np.nan)
-        line = np.concatenate([flat[chosen], gap], axis=1).reshape(-1, 2)
-        panel.line(line[:, 0], line[:, 1], color, width=width)
+        gap = np.full((int(chosen.sum()), 1, flat.shape[2]), np.nan)
+        line = np.concatenate([flat[chosen], gap], axis=1).reshape(-1, flat.shape[2])
+        panel.line(line[:, 0], line[:, 1], color, width=width, depth=line[:, 2] if flat.shape[2] > 2 else None)
 
 
-def draw_plans(around: ViewsAround) -> str:
+def draw_plans(around: ViewsAround) -> Plot:
     """Draw the cameras and the board from above and from the side."""
     outlines, telling = _pyramids(around)
     drawn = np.concatenate([outlines.reshape(-1, 3), around.board])
@@ -157,7 +157,7 @@ def draw_plans(around: ViewsAround) -> str:
     return sheet.draw("plans", 396, "The views and the board from above and from the side.")
 
 
-def draw_attitudes(around: ViewsAround) -> str:
+def draw_attitudes(around: ViewsAround) -> Plot:
     """Draw towards which side the board was tilted, and how often by how much."""
     degrees = np.degrees(around.seen_from)
     reach = max(10.0 * np.ceil(float(np.degrees(around.tilt.max(initial=0.0))) / 10 + 0.2), 30.0)

@@ -13,7 +13,7 @@ from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
 from .drawing import svg
-from .drawing.figures import RIGHT, Sheet, draw_dots
+from .drawing.figures import RIGHT, Plot, Sheet, draw_dots
 from .drawing.panel import Panel
 from .numbers import MISSING, fixed_text, number_text, readable_unit
 from .page import (
@@ -349,7 +349,7 @@ def truth_of(comparison: Comparison) -> str:
     return exact[0] if len(exact) == 1 and all(exact[0] in block.names for block in drawn_blocks(comparison)) else ""
 
 
-def draw_deviations(comparison: Comparison) -> str:
+def draw_deviations(comparison: Comparison) -> Plot:
     """Deviation of every scalar from the truth, else from the mean, in predicted sigmas, a line for each block."""
     zero = "the truth" if truth_of(comparison) else "the mean"
     blocks = drawn_blocks(comparison)
@@ -364,7 +364,7 @@ def draw_deviations(comparison: Comparison) -> str:
     panel.y.ticks, panel.y.grid = (), False
     panel.upright(0.0, "muted")
     for row, block in enumerate(blocks):
-        style = svg.text_style("muted", 12, "left")
+        style = svg.TextStyle(color="muted", size=12, align="left")
         panel.text(block_words(block.path), -reach, row - 0.5, style, offset=(2.0, 15.0))
         _draw_block(panel, comparison, block, row, reach)
     count = len(comparison.calibrations)

@@ -13,6 +13,7 @@ from .drawing.figures import (
     RIGHT,
     TEXT,
     WIDTH,
+    Plot,
     Sheet,
     coarsen_envelope,
     draw_dots,
@@ -31,7 +32,7 @@ TIMES = ("t1", "t2", "t3", "t4", "t5")
 _DOTS = 1500
 
 
-def corner_residuals(name: str, view: CornerView) -> str:
+def corner_residuals(name: str, view: CornerView) -> Plot:
     """Draw the histogram of the residuals of one camera, and their scatter coloured by time."""
     residual, reach, sigma = view.residual, view.reach, positive_or(view.fit.sigma_px, 0.0)
 
@@ -108,7 +109,7 @@ def images_height(views: Mapping[str, CornerView]) -> float:
     return 36 + sum(rows) + 92 * (len(rows) - 1) + 44
 
 
-def draw_corner_density(views: Mapping[str, CornerView]) -> str:
+def draw_corner_density(views: Mapping[str, CornerView]) -> Plot:
     """Draw how many corners were seen where in the image."""
     sheet = Sheet()
     for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
@@ -118,7 +119,7 @@ def draw_corner_density(views: Mapping[str, CornerView]) -> str:
     return sheet.draw("density", images_height(views), "Density of the corners over the image of each camera.")
 
 
-def draw_residual_field(views: Mapping[str, CornerView]) -> str:
+def draw_residual_field(views: Mapping[str, CornerView]) -> Plot:
     """Draw the mean residual over the image, as arrows."""
     longer = field_magnification(views)
 
@@ -168,7 +169,7 @@ def _mean(values: Floats) -> float:
     return float(values.mean()) if values.size else 0.0
 
 
-def draw_corner_coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> str:
+def draw_corner_coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> Plot:
     """Draw the corners used, the cells without any, and where to hold the board next."""
     sheet = Sheet()
     for panel, (name, view) in zip(image_panels(sheet, views), views.items(), strict=True):
@@ -189,7 +190,7 @@ def draw_corner_coverage(views: Mapping[str, CornerView], counts: Mapping[str, F
             box = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
             panel.line(box[:, 0], box[:, 1], "accent", width=1.6, dash=DASHED)
             at = (low + high) / 2
-            style = svg.text_style("accent", TEXT, "center", bold=True)
+            style = svg.TextStyle(color="accent", size=TEXT, align="center", bold=True)
             panel.text("next", float(at[0]), float(at[1]), style, offset=(0.0, 4.0))
     return sheet.draw("coverage", images_height(views), "Where in the image of each camera corners were used.")
 
@@ -202,7 +203,7 @@ def view_groups(fit: CornerFit) -> dict[str, np.ndarray]:
     return {"used": used, "spare": spare & seen, "bad": ~used & ~spare & seen}
 
 
-def frames_over_time(name: str, fit: CornerFit, word: str, point: str = "corner") -> str:
+def frames_over_time(name: str, fit: CornerFit, word: str, point: str = "corner") -> Plot:
     """Draw the residual of every frame over time, those not needed and those left out marked, and its points."""
     groups = view_groups(fit)
     t, order = fit.frame_t_s, np.argsort(fit.frame_t_s, kind="stable")
@@ -231,6 +232,7 @@ def frames_over_time(name: str, fit: CornerFit, word: str, point: str = "corner"
     below.y.most = 3
     for panel in (axes, below):
         panel.x.span(0, positive_or(highest_finite(t)))
+        panel.x.timed = True
     axes.x.labelled = False
     alt = f"rms residual and number of {point}s of {len(t)} frames of {name}; {int(groups['used'].sum())} were used."
     return sheet.draw(f"{word}s-{name}", 456, alt)

@@ -13,7 +13,7 @@ from ..results.camera_diagnostics import (
     SolverStep,
 )
 from .drawing import svg
-from .drawing.figures import RIGHT, WIDTH, Sheet
+from .drawing.figures import RIGHT, WIDTH, Plot, Sheet
 from .drawing.panel import Panel
 from .numbers import MISSING, fixed_text, highest_finite, number_text, readable_unit, with_sigma
 from .page import Figure, Legend, ReportTable, Section
@@ -135,7 +135,7 @@ _LEAST_MATRIX = 200.0
 """Side of a matrix of few parameters, so that a small screen shows it as well."""
 
 
-def draw_correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
+def draw_correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> Plot:
     """Draw a correlation matrix; labels are groups of parameters: (name of the group, names of its entries)."""
     count = len(matrix)
     left = 232.0
@@ -161,7 +161,7 @@ def draw_correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str
         for entry in entries if pitch >= 8 else ():
             y = row + entries.index(entry) + 0.5
             font = min(10.0, 0.8 * pitch)
-            style = svg.text_style("muted", font, "right")
+            style = svg.TextStyle(color="muted", size=font, align="right")
             panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
         row += len(entries)
     strongest = highest_finite(np.abs(matrix[~np.eye(count, dtype=bool)]))

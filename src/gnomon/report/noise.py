@@ -22,7 +22,7 @@ from ..results.sensor_noise import (
     NoiseResult,
     TriadNoise,
 )
-from .drawing.figures import AXES, Sheet, draw_envelope, log_limits, set_y_limits
+from .drawing.figures import AXES, Plot, Sheet, draw_envelope, log_limits, set_y_limits
 from .drawing.panel import DASHED, Panel
 from .numbers import finite_values, highest_finite, number_text, quantity_text, si_prefix, with_sigma
 from .page import (
@@ -286,7 +286,7 @@ def draw_sensor_allan(
     *,
     t_init_s: float = float("nan"),
     stated: StatedNoise | None = None,
-) -> str:
+) -> Plot:
     """Allan deviation of three axes with its interval, and the noise that was found (Tedaldi 2014, Fig. 3.2).
 
     Uprights stand where N and K are read, at 1 s and 3 s, thin lines have the slopes of N, B and K, a ring marks the
@@ -332,7 +332,7 @@ def _draw_slopes(panel: Panel, tau: Floats, noise: TriadNoise, factor: float) ->
             panel.upright(place, "muted", width=0.8, dash=(1.0, 3.0))
 
 
-def draw_noise_parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> str:
+def draw_noise_parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> Plot:
     """Allan deviation of each axis, taken apart into the kinds of noise."""
     prefix, factor = si_prefix(float(np.median(curve.deviation[curve.deviation > 0])))
 
@@ -353,7 +353,7 @@ def draw_noise_parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[Axis
     return sheet.draw(f"parts-{sensor}", 750, alt)
 
 
-def draw_means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
+def draw_means(sensor: str, unit: str, signal: SignalEnvelope) -> Plot:
     """Means of about a second over the recording, about their median."""
     middle = np.median(signal.low, axis=0)
     low, high = signal.low - middle, signal.high - middle

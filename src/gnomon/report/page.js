@@ -1,5 +1,7 @@
 "use strict";
 // Zoom and pan: every figure changes its viewBox and nothing else, so that the page is whole without this script.
+// Figures over time follow each other; views of space are turned about their middle.
+const followers = [];
 document.querySelector(".hint").hidden = false;
 const unfold = () => {
   const section = document.getElementById(location.hash.slice(1));
@@ -61,11 +63,25 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
   };
 
   const zoom = () => home[2] / view[2];
-  const show = () => {
+  // Seconds that are seen, where the figure is one over time; the others show the same.
+  const timed = svg.querySelector("[data-time]") && panels.find((p) => p.x);
+  const moment = (x) => timed.x.at((x - timed.left) / timed.width);
+  const follow = (from, to) => {
+    const place = (t) => timed.left + timed.width * (t - timed.x.at(0)) / (timed.x.at(1) - timed.x.at(0));
+    const width = Math.min(Math.max(place(to) - place(from), home[2] / 40), home[2]), height = width * home[3] / home[2];
+    view.splice(0, 4, (place(from) + place(to) - width) / 2, view[1] + (view[3] - height) / 2, width, height);
+    inside();
+    show(false);
+  };
+  if (timed) followers.push({ svg, follow });
+  const show = (leads = true) => {
     svg.setAttribute("viewBox", view.join(" "));
     svg.style.setProperty("--plot-zoom", zoom());
     svg.classList.toggle("zoomed", zoom() > 1.001);
     mark();
+    if (!leads || !timed) return;
+    const seen = [moment(view[0]), moment(view[0] + view[2])];
+    for (const other of followers) if (other.svg !== svg) other.follow(...seen);
   };
   const inside = () => {
     for (const i of [0, 1]) view[i] = Math.min(Math.max(view[i], home[i]), home[i] + home[i + 2] - view[i + 2]);
@@ -90,7 +106,43 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
     inside();
     show();
   };
+  // A view of space: each point keeps its depth, and is turned about the two axes of the page.
+  const space = svg.querySelector("[data-space]");
+  const turned = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+  let turn = null;
+  if (space) {
+    const [left, top] = space.dataset.space.split(" ").map(Number);
+    const pair = /(-?[\d.e+-]+) (-?[\d.e+-]+)/g;
+    const paths = [...space.querySelectorAll("[data-depth]")].map((path) => {
+      const d = path.getAttribute("d"), depth = path.dataset.depth.split(" ").map(Number);
+      return { path, d, points: [...d.matchAll(pair)].map((m, i) => [m[1] - left, m[2] - top, depth[i]]) };
+    });
+    const names = [...space.querySelectorAll("[data-place]")].map((g) => {
+      const [x, y, depth] = g.dataset.place.split(" ").map(Number);
+      return { g, point: [x - left, y - top, depth] };
+    });
+    const at = (point) => [0, 1].map((i) => turned[i][0] * point[0] + turned[i][1] * point[1] + turned[i][2] * point[2]);
+    const rotate = (i, k, angle) => {
+      const [c, s] = [Math.cos(angle), Math.sin(angle)];
+      for (let j = 0; j < 3; j++) [turned[i][j], turned[k][j]] = [c * turned[i][j] + s * turned[k][j], c * turned[k][j] - s * turned[i][j]];
+    };
+    turn = (right, down) => {
+      rotate(0, 2, right);
+      rotate(1, 2, down);
+      for (const { path, d, points } of paths) {
+        let i = 0;
+        path.setAttribute("d", d.replace(pair, () => at(points[i++]).map((v, k) => (v + (k ? top : left)).toFixed(2)).join(" ")));
+      }
+      for (const { g, point } of names) {
+        const [x, y] = at(point);
+        g.setAttribute("transform", `translate(${(x - point[0]).toFixed(2)} ${(y - point[1]).toFixed(2)})`);
+      }
+    };
+    svg.classList.add("turns");
+  }
   const reset = () => {
+    turned.forEach((row, i) => row.forEach((_, j) => { row[j] = Number(i === j); }));
+    turn?.(0, 0);
     view.splice(0, 4, ...home);
     show();
   };
@@ -117,6 +169,8 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
       scale(apart(now) / Math.max(apart(before), 1e-6), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
     } else if (zoom() > 1.001) {
       move(now[0] - before[0], now[1] - before[1]);
+    } else {
+      turn?.(4 * (now[0] - before[0]), 4 * (now[1] - before[1]) * home[3] / home[2]);
     }
     touches.set(event.pointerId, now);
   });
@@ -124,12 +178,13 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
     svg.addEventListener(end, (event) => touches.delete(event.pointerId));
   }
   svg.addEventListener("dblclick", reset);
+  const steer = (x, y) => zoom() > 1.001 ? move(x, y) : turn?.(x, y);
   svg.addEventListener("keydown", (event) => {
     const act = {
       "+": () => scale(1.4), "=": () => scale(1.4), "-": () => scale(1 / 1.4), "0": reset, Escape: reset,
-      ArrowLeft: () => move(0.1, 0), ArrowRight: () => move(-0.1, 0), ArrowUp: () => move(0, 0.1), ArrowDown: () => move(0, -0.1),
+      ArrowLeft: () => steer(0.1, 0), ArrowRight: () => steer(-0.1, 0), ArrowUp: () => steer(0, 0.1), ArrowDown: () => steer(0, -0.1),
     }[event.key];
-    if (!act || event.ctrlKey || event.metaKey || event.altKey || (event.key.startsWith("Arrow") && zoom() <= 1.001)) return;
+    if (!act || event.ctrlKey || event.metaKey || event.altKey || (event.key.startsWith("Arrow") && zoom() <= 1.001 && !turn)) return;
     event.preventDefault();
     act();
   });

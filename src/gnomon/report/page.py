@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, SupportsFloat
 
 from ..findings import Finding, printable_text
 from ..results.calibration import Verdict
+from .drawing.figures import Plot
 from .numbers import with_sigma
 
 if TYPE_CHECKING:
@@ -89,13 +90,18 @@ class Legend:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """An SVG made by figures.draw, with its legend and caption."""
+    """A drawing with its legend and caption."""
 
     title: str
-    svg: str
+    plot: Plot
     legend: Sequence[Legend] = ()
     caption: str = ""
     kind: str = "figure"
+
+    @property
+    def svg(self) -> str:
+        """The drawing as an SVG element."""
+        return self.plot.svg
 
 
 @dataclass(frozen=True, slots=True)

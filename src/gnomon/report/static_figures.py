@@ -17,6 +17,7 @@ from .drawing import svg
 from .drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
+    Plot,
     Sheet,
     coarsen_envelope,
     count_along,
@@ -32,7 +33,7 @@ from .drawing.panel import Panel
 from .numbers import finite_values, highest_finite, largest_magnitude, magnitude_unit, readable_unit, si_prefix
 
 
-def draw_raw_signals(diagnostics: ImuDiagnostics) -> str:
+def draw_raw_signals(diagnostics: ImuDiagnostics) -> Plot:
     """Raw signals with the static detector over them (Tedaldi 2014, Fig. 3.1), and its statistic (Eq. 3.9)."""
     gyroscope = diagnostics.gyroscope
     ends = finite_values(np.concatenate([diagnostics.accelerometer.t_s, diagnostics.intervals.stop_s]))
@@ -48,10 +49,12 @@ def draw_raw_signals(diagnostics: ImuDiagnostics) -> str:
         _signal(axes, signal, diagnostics.intervals)
         axes.x.span(0, duration)
         axes.x.labelled = False
+        axes.x.timed = True
         top += 262
     axes = sheet.panel("Variance over resting variance", top=top, height=170, x_label="time [s]")
     _statistic(axes, diagnostics.detector)
     axes.x.span(0, duration)
+    axes.x.timed = True
     alt = (
         f"Raw signals over {duration:.0f} s; a square wave is high where the recording is static: "
         f"{len(diagnostics.intervals.start_s)} intervals. Below, the detector's statistic against its threshold."
@@ -90,7 +93,7 @@ def _statistic(panel: Panel, trace: DetectorTrace) -> None:
         panel.across(trace.multiplier, "accent", width=1.6)
 
 
-def draw_allan(curve: AllanCurve) -> str:
+def draw_allan(curve: AllanCurve) -> Plot:
     """Allan deviation of the three gyroscope axes (Tedaldi 2014, Fig. 3.2), with the advised T_init."""
     sheet = Sheet()
     prefix, factor = si_prefix(
@@ -115,7 +118,7 @@ def draw_allan(curve: AllanCurve) -> str:
     return sheet.draw("allan", 386, alt)
 
 
-def rotation_errors(rotations: RotationTable) -> str:
+def rotation_errors(rotations: RotationTable) -> Plot:
     """|u_a - u_g| per rotation and over the angle turned: before, after, held out."""
     used = np.asarray(rotations.used, dtype=bool)
     number_of = np.asarray(np.flatnonzero(used) + 1, dtype=np.float64)
@@ -154,7 +157,7 @@ def mean_rate(rest: GyroscopeAtRest) -> Floats:
     return np.where(known, rest.measured, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
 
 
-def at_rest(rest: GyroscopeAtRest) -> str:
+def at_rest(rest: GyroscopeAtRest) -> Plot:
     """Gyroscope at rest in each attitude, measured and predicted, an axis a panel; the drift of its bias below."""
     count = len(rest.t_s)
     some = slice(None, None, -(-count // _MOST))
@@ -201,7 +204,7 @@ def _scaled(reach: float, unit: str) -> tuple[str, float]:
     return f"{prefix}{readable_unit(unit)}", factor
 
 
-def draw_field_dip(table: DipTable) -> str:
+def draw_field_dip(table: DipTable) -> Plot:
     """Angle between magnetic field and horizontal in each attitude, with the estimated one."""
     count = len(table.dip_rad)
     found, estimated = np.degrees(table.dip_rad), float(np.degrees(table.estimated_rad))
@@ -219,7 +222,7 @@ def draw_field_dip(table: DipTable) -> str:
     return sheet.draw("dip", 320, alt)
 
 
-def draw_video_repeats(curve: PeriodCurve, name: str, period_s: float) -> str:
+def draw_video_repeats(curve: PeriodCurve, name: str, period_s: float) -> Plot:
     """How well the picture repeats after each period, and by how much the platter ran ahead of a constant rate."""
     sheet = Sheet()
     panel = sheet.panel("Likeness of pictures one period apart", top=36, height=180, x_label="period [s]")
@@ -245,7 +248,7 @@ def _ends(values: Floats) -> tuple[float, float]:
     return low, high if high > low else low + 1
 
 
-def draw_fit_history(found: IterationHistory, name: str) -> str:
+def draw_fit_history(found: IterationHistory, name: str) -> Plot:
     """Residual quadratic form after each step of the paper's iteration."""
     step = np.arange(len(found.q), dtype=np.float64)
 
@@ -263,7 +266,7 @@ def draw_fit_history(found: IterationHistory, name: str) -> str:
     return sheet.draw(name, 300, f"Residual quadratic form over {len(found.q)} steps of the paper's iteration.")
 
 
-def draw_directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) -> str:
+def draw_directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) -> Plot:
     """Directions (n, 3) in the body frame on two hemispheres in Lambert's equal-area projection.
 
     Parameters
@@ -287,7 +290,7 @@ def draw_directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: 
             draw_dots(axes, spots[:, 0], spots[:, 1], color, size=9 if labelled else 5, ring=ring and labelled)
         if labelled:
             for x, y, names in _labels(flat, np.flatnonzero(here)):
-                axes.text(names, x, y, svg.text_style("muted", 9.5, "left"), fine=True)
+                axes.text(names, x, y, svg.TextStyle(color="muted", size=9.5, align="left"), fine=True)
     return sheet.draw(name, SPHERE_HEIGHT, alt)
 
 
@@ -340,7 +343,7 @@ def _covered(box: _Box, taken: list[_Box]) -> float:
     )
 
 
-def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, x_label: str, alt: str) -> str:
+def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, x_label: str, alt: str) -> Plot:
     """Error of a magnitude per pose or interval: before, after, and when it was held out.
 
     Parameters

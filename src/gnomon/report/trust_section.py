@@ -6,7 +6,7 @@ import numpy as np
 
 from ..results.calibration import Assessment
 from ..results.trust import BlockChange, ModelStep, Need, Splits, Trust, WeakDirection
-from .drawing.figures import Sheet, draw_dots
+from .drawing.figures import Plot, Sheet, draw_dots
 from .drawing.panel import DASHED
 from .numbers import MISSING, finite_values, highest_finite, number_text
 from .page import Block, Figure, Legend, Prose, ReportTable, Section
@@ -199,7 +199,7 @@ _LEAST = 140.0
 """Height of all rows together at least, so that a small screen shows two of them as well."""
 
 
-def draw_agreement(splits: Splits) -> str:
+def draw_agreement(splits: Splits) -> Plot:
     """Root mean square of the differences of parts over their standard deviation, a row for each block."""
     names = [block.block for block in splits.blocks] + ["all together"]
     robust = np.array([*(block.z_rms for block in splits.blocks), splits.z_rms])

@@ -5,6 +5,7 @@ from ..recording import Floats
 from .calibration import Calibration
 from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from .imu_diagnostics import ImuDiagnostics
+from .plotting import Plotted
 from .triad_diagnostics import TriadDiagnostics
 
 
@@ -58,7 +59,7 @@ class JoinedDiagnostics:
 
 
 @value_class
-class Result:
+class Result(Plotted):
     """A calibration, and how it came about."""
 
     calibration: Calibration

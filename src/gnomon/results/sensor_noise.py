@@ -23,6 +23,7 @@ from ..recording import Floats
 from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
 from .calibration import Provenance, Verdict
+from .plotting import Plotted
 
 if TYPE_CHECKING:
     from .imu_diagnostics import SignalEnvelope
@@ -253,7 +254,7 @@ class AllanTable:
 
 
 @value_class
-class NoiseResult:
+class NoiseResult(Plotted):
     """The noise of an IMU, and how it came about.
 
     Attributes

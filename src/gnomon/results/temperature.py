@@ -3,6 +3,7 @@
 from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Calibration
+from .plotting import Plotted
 
 
 @value_class
@@ -52,7 +53,7 @@ class TriadOverTemperature:
 
 
 @value_class
-class TemperatureResult:
+class TemperatureResult(Plotted):
     """A calibration that knows the temperature, and how it came about.
 
     Attributes

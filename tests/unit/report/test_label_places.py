@@ -40,7 +40,7 @@ def texts_and_lines(svg):
 @pytest.mark.parametrize("seed", [0, 4, 9])
 def test_labels_of_a_rig_can_be_read(seed):
     scenario = CameraImuScenario(duration_s=2.0, cameras=2, imus=3)
-    texts, points = texts_and_lines(rig_drawing(simulate_camera_imu(scenario, seed).truth))
+    texts, points = texts_and_lines(rig_drawing(simulate_camera_imu(scenario, seed).truth).svg)
     assert {text for text, _ in texts} >= {"imu0", "imu1", "imu2", "cam0", "cam1"}
     assert len(points) > 1500
     for k, (text, centre) in enumerate(texts):

@@ -284,7 +284,7 @@ def test_drawing_keeps_every_dot_and_its_own_ids():
     sheet = Sheet()
     axes = sheet.panel("<b>", top=30, height=100)
     draw_dots(axes, np.arange(5.0), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), "x", ring=True)
-    svg = sheet.draw("name", 200, 'a "quoted" <alt>')
+    svg = sheet.draw("name", 200, 'a "quoted" <alt>').svg
     paths = re.findall(r'class="dots"><path d="([^"]*)"', svg)
     assert [path.count("M") for path in paths] == [4, 4]
     assert "&lt;b&gt;" in svg

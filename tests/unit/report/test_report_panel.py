@@ -94,7 +94,7 @@ def drawn(paint):
     panel = sheet.bare_panel(left=10, top=20, width=100, height=50)
     panel.y.grid = False
     paint(panel)
-    return re.findall(r'<path d="([^"]*)"[^>]* style="([^"]*)"', sheet.draw("name", 100, "alt"))
+    return re.findall(r'<path d="([^"]*)"[^>]* style="([^"]*)"', sheet.draw("name", 100, "alt").svg)
 
 
 def test_what_can_be_drawn():
@@ -148,4 +148,4 @@ def test_texts_are_escaped_and_empty_ones_left_out():
     text = (
         '<text style="--size:12.5px;fill:var(--plot-ink);font-weight:600" x="1" y="2.35">a &lt; b &amp; \\udcff</text>'
     )
-    assert sheet.draw("n", 100, "alt").endswith(f'"alt">{text}</svg>')
+    assert sheet.draw("n", 100, "alt").svg.endswith(f'"alt">{text}</svg>')

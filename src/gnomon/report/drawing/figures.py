@@ -5,6 +5,9 @@ multiplied by `--plot-text`, which the page raises on small screens. (A drawing 
 one report as the calibration itself: 0.8 s to load, 0.15 s a figure; this takes 0.01 s a figure.)
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from ...recording import Floats
@@ -21,12 +24,51 @@ TEXT = 12.5
 """Size of titles and names in figure units."""
 
 
+@dataclass(frozen=True, slots=True)
+class SheetText:
+    """A line of text beside the panels, with its baseline at y, in figure units."""
+
+    text: str
+    x: float
+    y: float
+    style: svg.TextStyle
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plot:
+    """A finished figure, which becomes SVG for a page, or is drawn by Matplotlib.
+
+    Attributes
+    ----------
+    name : short name, unique on the page; prefix of the ids in the SVG
+    height : in figure units
+    alt : what a person who does not see the figure should know
+    panels, texts : what is drawn
+    """
+
+    name: str
+    height: float
+    alt: str
+    panels: Sequence[Panel]
+    texts: Sequence[SheetText]
+
+    @property
+    def svg(self) -> str:
+        """The figure as an SVG element in the colours of the page."""
+        from markupsafe import escape
+
+        frame = f'viewBox="0 0 {WIDTH:g} {self.height:g}" role="img" aria-label="{escape(self.alt)}"'
+        panels = [panel.svg(f"{self.name}-{i}") for i, panel in enumerate(self.panels)]
+        texts = [svg.text_element(text.text, text.x, text.y, text.style) for text in self.texts]
+        return f'<svg class="plot" {frame}>{"".join([*panels, *texts])}</svg>'
+
+
 class Sheet:
     """One figure under construction; positions are in figure units from its top-left corner."""
 
     def __init__(self) -> None:
         self.panels: list[Panel] = []
-        self._texts: list[str] = []
+        self._texts: list[SheetText] = []
 
     def panel(
         self, title: str, *, top: float, height: float, left: float = LEFT, right: float = RIGHT, x_label: str = ""
@@ -46,25 +88,17 @@ class Sheet:
         self.panels.append(panel)
         return panel
 
-    def text(self, text: str, *, x: float, y: float, color: str, align: str = "left", weight: str = "normal") -> None:
+    def text(
+        self, text: str, *, x: float, y: float, color: str, align: svg.Align = "left", weight: str = "normal"
+    ) -> None:
         """Write a line of text with its baseline at y."""
         if text:
-            self._texts.append(svg.text_element(text, x, y, svg.text_style(color, TEXT, align, bold=weight == "bold")))
+            style = svg.TextStyle(color=color, size=TEXT, align=align, bold=weight == "bold")
+            self._texts.append(SheetText(text, x, y, style))
 
-    def draw(self, name: str, height: float, alt: str) -> str:
-        """Return the SVG of the figure.
-
-        Parameters
-        ----------
-        name : short name, unique on the page; prefix of the ids in the SVG
-        height : height in figure units
-        alt : what a person who does not see the figure should know
-        """
-        from markupsafe import escape
-
-        frame = f'viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(alt)}"'
-        panels = (panel.svg(f"{name}-{i}") for i, panel in enumerate(self.panels))
-        return f'<svg class="plot" {frame}>{"".join([*panels, *self._texts])}</svg>'
+    def draw(self, name: str, height: float, alt: str) -> Plot:
+        """Return the finished figure; the parameters are those of `Plot`."""
+        return Plot(name, height, alt, tuple(self.panels), tuple(self._texts))
 
 
 def draw_envelope(panel: Panel, t: Floats, low: Floats, high: Floats, color: str) -> None:
@@ -253,12 +287,16 @@ def draw_histograms(
 
 
 def fit_to_scale(panel: Panel, drawn: Floats, height: float, room: tuple[float, float]) -> None:
-    """Give a panel as wide as the sheet limits that hold all points (n, 2), to scale, with room for labels."""
+    """Give a panel as wide as the sheet limits that hold all points (n, 2), to scale, with room for labels.
+
+    A third column is their depth towards the reader, who can then turn what is drawn.
+    """
     known = drawn[np.isfinite(drawn).all(axis=1)]
     if not len(known):
         return
     low, high = known.min(axis=0), known.max(axis=0)
     middle, size = (low + high) / 2, high - low
+    panel.middle_depth = float(middle[2]) if len(middle) > 2 else None
     scale = max(size[0] / (WIDTH - room[0]), size[1] / (height - room[1]), 1e-9)
     panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
     panel.y.span(middle[1] - scale * height / 2, middle[1] + scale * height / 2)

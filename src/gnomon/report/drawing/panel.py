@@ -26,6 +26,7 @@ class Scale:
     whole : whether round ticks are integers
     labelled : whether ticks have labels
     grid : whether lines are drawn across the panel at the ticks
+    timed : whether they are seconds since the recording began, so that figures are zoomed together
     """
 
     def __init__(self, start: float, length: float, most: int) -> None:
@@ -36,6 +37,7 @@ class Scale:
         self.whole = False
         self.labelled = True
         self.grid = False
+        self.timed = False
         self._start, self._length = start, length
 
     def span(self, low: float, high: float) -> None:
@@ -55,6 +57,11 @@ class Scale:
 
     def marks(self) -> list[tuple[float, str]]:
         """Return the ticks within the panel: where they are drawn, and their labels."""
+        ticks, labels = self.ticks_within()
+        return list(zip(self.places(ticks).tolist(), labels, strict=True))
+
+    def ticks_within(self) -> tuple[Floats, list[str]]:
+        """Return the ticks within the panel as numbers of the scale (n,), and their labels."""
         low, high = sorted((self.low, self.high))
         ticks = self.ticks
         if ticks is None:
@@ -63,7 +70,7 @@ class Scale:
             )
         margin = 1e-9 * (high - low)
         inside = np.array([tick for tick in ticks if low - margin <= tick <= high + margin])
-        return list(zip(self.places(inside).tolist(), map(self._label, inside.tolist()), strict=True))
+        return inside, list(map(self._label, inside.tolist()))
 
     def _label(self, tick: float) -> str:
         if not self.logarithmic:
@@ -109,7 +116,7 @@ with their baseline so far below the tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Shape:
+class Shape:
     """A path to be drawn when the limits of the scales are known.
 
     Attributes
@@ -120,15 +127,33 @@ class _Shape:
     shares : "x" or "y" where these are shares of the panel instead
     group : class of the element around it, for page.css
     clip : whether it ends at the edges of the panel
+    depth : of its points towards the reader in a view of space, in units of the x scale
     """
 
     x: Floats
     y: Floats
     path: Callable[[Floats, Floats], str]
-    style: str
+    style: svg.ShapeStyle
     shares: Literal["", "x", "y"] = ""
     group: str = ""
     clip: bool = True
+    depth: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelText:
+    """A line of text with its baseline at (x, y) of the scales, moved right and down by figure units.
+
+    `depth` is that of the point it stands at in a view of space; small screens hide `fine` texts.
+    """
+
+    text: str
+    x: float
+    y: float
+    style: svg.TextStyle
+    offset: tuple[float, float]
+    fine: bool
+    depth: float | None
 
 
 class Panel:
@@ -142,6 +167,9 @@ class Panel:
     x, y : the scales
     frame : edges that are drawn
     rim : radius about the point (0, 0) beyond which nothing is drawn, for a scale of equal steps; None for no rim
+    middle_depth : depth about which a view of space is turned; None where the panel shows no space
+    box : left, top, width and height
+    texts : what is written in it
     """
 
     def __init__(self, left: float, top: float, width: float, height: float) -> None:
@@ -150,10 +178,12 @@ class Panel:
         self.y.grid = True
         self.frame: Sequence[Literal["left", "right", "top", "bottom"]] = ("bottom",)
         self.rim: float | None = None
-        self._left, self._top, self._width, self._height = left, top, width, height
-        self._areas: list[_Shape] = []
-        self._lines: list[_Shape] = []
-        self._texts: list[tuple[float, float, str, str, tuple[float, float], bool]] = []
+        self.middle_depth: float | None = None
+        self.box = (left, top, width, height)
+        self._left, self._top, self._width, self._height = self.box
+        self._areas: list[Shape] = []
+        self._lines: list[Shape] = []
+        self.texts: list[PanelText] = []
 
     def line(
         self,
@@ -166,43 +196,48 @@ class Panel:
         alpha: float = 1.0,
         ends: Literal["square", "round"] = "square",
         clip: bool = True,
+        depth: Floats | None = None,
     ) -> None:
-        """Draw a line through points (n,); nan interrupts it."""
-        style = svg.stroke_style(color, width, dash=dash, alpha=alpha, ends=ends)
-        self._lines.append(_Shape(x=x, y=y, path=svg.line_path, style=style, clip=clip))
+        """Draw a line through points (n,); nan interrupts it. `depth` (n,) lets a reader turn it in space."""
+        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash), alpha=alpha, ends=ends)
+        self._lines.append(Shape(x=x, y=y, path=svg.line_path, style=style, clip=clip, depth=depth))
 
     def across(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the left edge to the right one at a number of the y scale."""
-        style = svg.stroke_style(color, width, dash=dash)
+        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash))
         ends = np.array([0.0, 1.0])
-        self._lines.append(_Shape(x=ends, y=np.full(2, value), path=svg.line_path, style=style, shares="x"))
+        self._lines.append(Shape(x=ends, y=np.full(2, value), path=svg.line_path, style=style, shares="x"))
 
     def upright(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the bottom to the top at a number of the x scale."""
-        style = svg.stroke_style(color, width, dash=dash)
+        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash))
         ends = np.array([0.0, 1.0])
-        self._lines.append(_Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
+        self._lines.append(Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
 
     def wave(self, x: Floats, share: Floats, color: str, *, width: float, alpha: float) -> None:
         """Draw a line through points (n,) whose heights are shares of the panel; nan interrupts it."""
-        style = svg.stroke_style(color, width, alpha=alpha)
-        self._lines.append(_Shape(x=x, y=share, path=svg.line_path, style=style, shares="y"))
+        style = svg.ShapeStyle(color=color, width=width, alpha=alpha)
+        self._lines.append(Shape(x=x, y=share, path=svg.line_path, style=style, shares="y"))
 
     def steps(self, height: Floats, edges: Floats, color: str) -> None:
         """Draw heights (n,) between edges (n + 1,)."""
-        style = svg.stroke_style(color, 1.5, ends="butt") + ";stroke-linejoin:miter"
+        style = svg.ShapeStyle(color=color, width=1.5, ends="miter")
         x, y = np.repeat(edges, 2)[1:-1], np.repeat(height, 2)
-        self._areas.append(_Shape(x=x, y=y, path=svg.line_path, style=style))
+        self._areas.append(Shape(x=x, y=y, path=svg.line_path, style=style))
 
-    def dots(self, x: Floats, y: Floats, color: str, size: float) -> None:
+    def dots(self, x: Floats, y: Floats, color: str, size: float, *, depth: Floats | None = None) -> None:
         """Draw points (n,) as one path of round strokes, which takes a tenth of the bytes of markers."""
-        style = svg.dot_stroke(color, size)
-        self._lines.append(_Shape(x=x, y=y, path=svg.dot_path, style=style, group="dots", clip=False))
+        style = svg.ShapeStyle(color=color, width=size)
+        self._lines.append(Shape(x=x, y=y, path=svg.dot_path, style=style, group="dots", clip=False, depth=depth))
 
     def strip(self, low: float, high: float, color: str, *, alpha: float) -> None:
         """Fill between two numbers of the y scale, from the left edge to the right one."""
-        x, y, style = np.array([[0.0, 1.0]]), np.array([[low, high]]), svg.fill_style(color, alpha=alpha)
-        self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, shares="x"))
+        x, y, style = (
+            np.array([[0.0, 1.0]]),
+            np.array([[low, high]]),
+            svg.ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True),
+        )
+        self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, shares="x"))
 
     def band(self, x: Floats, low: Floats, high: Floats, color: str, *, alpha: float = 1.0, edge: float = 0.0) -> None:
         """Fill between two lines (n,), wherever both are known; `edge` is the width of the outline."""
@@ -214,8 +249,8 @@ class Panel:
         ]
         gap = np.full((2, 1), np.nan)
         outline = np.concatenate([part for piece in pieces for part in (piece, gap)], axis=1) if pieces else gap
-        style = svg.fill_style(color, alpha=alpha, edge=edge)
-        self._areas.append(_Shape(x=outline[0], y=outline[1], path=svg.area_path, style=style))
+        style = svg.ShapeStyle(color=color, width=edge, alpha=alpha, filled=True)
+        self._areas.append(Shape(x=outline[0], y=outline[1], path=svg.area_path, style=style))
 
     def cells(self, corners: Floats, size: tuple[float, float], *, level: Floats, color: str) -> None:
         """Fill rectangles, the stronger the higher their level; those of level zero or nan stay empty.
@@ -235,47 +270,76 @@ class Panel:
             chosen = corners[strength == step]
             if len(chosen):
                 x, y = (np.stack([chosen[:, i], chosen[:, i] + size[i]], axis=1) for i in range(2))
-                style = svg.fill_style(color, alpha=step / steps)
-                self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, group="cells"))
+                style = svg.ShapeStyle(color=color, width=0.0, alpha=step / steps, filled=True)
+                self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, group="cells"))
 
     def text(
-        self, text: str, x: float, y: float, style: str, *, offset: tuple[float, float] = (0.0, 0.0), fine: bool = False
+        self,
+        text: str,
+        x: float,
+        y: float,
+        style: svg.TextStyle,
+        *,
+        offset: tuple[float, float] = (0.0, 0.0),
+        fine: bool = False,
+        depth: float | None = None,
     ) -> None:
         """Write a line of text with its baseline at a point, moved by figure units; small screens hide `fine` ones."""
-        self._texts.append((x, y, text, style, offset, fine))
+        self.texts.append(PanelText(text=text, x=x, y=y, style=style, offset=offset, fine=fine, depth=depth))
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """What is drawn in it, from below to above."""
+        return *self._areas, *self._lines
 
     def svg(self, name: str) -> str:
         """Return all of it as an SVG element; `name` is unique on the page."""
         parts = [
             f'<g{self._numbers()}><clipPath id="{name}">{self._clip()}</clipPath>',
             self._grid(),
-            *(self._drawn(shape, name) for shape in (*self._areas, *self._lines)),
+            *(self._drawn(shape, name) for shape in self.shapes),
             self._frame(),
             *self._labels(),
         ]
-        for x, y, text, style, (right, down), fine in self._texts:
-            at = float(self.x.places(np.array(x))) + right, float(self.y.places(np.array(y))) + down
-            element = svg.text_element(text, *at, style)
-            parts.append(f'<g class="fine">{element}</g>' if fine else element)
-        return "".join([*parts, "</g>"])
+        return "".join([*parts, *map(self._written, self.texts), "</g>"])
+
+    def _written(self, text: PanelText) -> str:
+        """Return a text as an element; one of space keeps the point that it belongs to."""
+        at = float(self.x.places(np.array(text.x))), float(self.y.places(np.array(text.y)))
+        element = svg.text_element(text.text, at[0] + text.offset[0], at[1] + text.offset[1], text.style)
+        if text.depth is not None:
+            place = " ".join(map(svg.short_number, (*at, float(self._depth(np.array(text.depth))))))
+            element = f'<g data-place="{place}">{element}</g>'
+        return f'<g class="fine">{element}</g>' if text.fine else element
+
+    def _depth(self, depth: Floats) -> Floats:
+        """Return depths (n,) about the middle in figure units."""
+        unit = float(self.x.places(np.ones(())) - self.x.places(np.zeros(())))
+        return (depth - (self.middle_depth or 0.0)) * unit
+
+    def _depths(self, shape: Shape) -> str:
+        """Return the depths of the points that are drawn."""
+        depth = np.zeros(0) if shape.depth is None else shape.depth
+        return " ".join(map(svg.short_number, self._depth(depth[np.isfinite(shape.x) & np.isfinite(shape.y)]).tolist()))
 
     def _numbers(self) -> str:
         """Return the attribute that tells page.js which numbers places stand for: box, then low, high, log, known."""
+        if self.middle_depth is not None:
+            return f' data-space="{self._left + self._width / 2:g} {self._top + self._height / 2:g}"'
         if self.rim is not None:
             return ""
-        box = (self._left, self._top, self._width, self._height)
         ends = [(s.low, s.high, s.logarithmic, s.labelled and bool(s.marks())) for s in (self.x, self.y)]
-        return f' data-panel="{" ".join(f"{value:.9g}" for value in (*box, *ends[0], *ends[1]))}"'
+        numbers = f' data-panel="{" ".join(f"{value:.9g}" for value in (*self.box, *ends[0], *ends[1]))}"'
+        return f"{numbers} data-time" if self.x.timed else numbers
 
     def _clip(self) -> str:
         if self.rim is None:
-            box = (self._left, self._top, self._width, self._height)
-            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short_number, box))
+            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short_number, self.box))
         x, y = (float(scale.places(np.zeros(()))) for scale in (self.x, self.y))
         reach = float(self.x.places(np.array(self.rim))) - x
         return f'<circle cx="{svg.short_number(x)}" cy="{svg.short_number(y)}" r="{svg.short_number(reach)}"/>'
 
-    def _drawn(self, shape: _Shape, name: str) -> str:
+    def _drawn(self, shape: Shape, name: str) -> str:
         x, y = (
             scale.shares(values) if shape.shares == direction else scale.places(values)
             for scale, values, direction in ((self.x, shape.x, "x"), (self.y, shape.y, "y"))
@@ -283,15 +347,19 @@ class Panel:
         path = shape.path(x, y)
         if not path:
             return ""
+        style = svg.dot_css(shape.style) if shape.path is svg.dot_path else shape.style.css()
         clip = f' clip-path="url(#{name})"' if shape.clip else ""
-        element = f'<path d="{path}"{clip} style="{shape.style}"/>'
+        depth = "" if shape.depth is None else f' data-depth="{self._depths(shape)}"'
+        element = f'<path d="{path}"{clip}{depth} style="{style}"/>'
         return f'<g class="{shape.group}">{element}</g>' if shape.group else element
 
     def _grid(self) -> str:
         left, right, top, bottom = self._edges()
         lines = [f"M{svg.short_number(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
         lines += [f"M{left} {svg.short_number(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
-        return f'<path d="{"".join(lines)}" style="{svg.stroke_style("grid", 1, ends="butt")}"/>' if lines else ""
+        return (
+            f'<path d="{"".join(lines)}" style="{svg.ShapeStyle(color="grid", ends="butt").css()}"/>' if lines else ""
+        )
 
     def _edges(self) -> tuple[str, str, str, str]:
         """Return left, right, top and bottom."""
@@ -304,17 +372,19 @@ class Panel:
         sides = {"left": f"M{left} {bottom}V{top}", "right": f"M{right} {bottom}V{top}",
                  "bottom": f"M{left} {bottom}H{right}", "top": f"M{left} {top}H{right}"}  # fmt: skip
         path = "".join(sides[side] for side in self.frame)
-        return f'<path d="{path}" style="{svg.stroke_style("muted", 1)}"/>' if path else ""
+        return f'<path d="{path}" style="{svg.ShapeStyle(color="muted").css()}"/>' if path else ""
 
     def _labels(self) -> list[str]:
         """Return the labels of both scales."""
         groups: list[str] = []
+        aligned: tuple[tuple[Scale, svg.Align], ...] = ((self.x, "center"), (self.y, "right"))
         below, aside = self._top + self._height + _BELOW, self._left - _ASIDE
-        for scale, align in ((self.x, "center"), (self.y, "right")):
+        for scale, align in aligned:
             if scale.labelled and (marks := scale.marks()):
                 texts = [
                     svg.text_element(label, *((place, below) if scale is self.x else (aside, place + _LOWER)))
                     for place, label in marks
                 ]
-                groups.append(f'<g style="{svg.text_style("muted", _LABEL, align)}">{"".join(texts)}</g>')
+                style = svg.TextStyle(color="muted", size=_LABEL, align=align).css()
+                groups.append(f'<g style="{style}">{"".join(texts)}</g>')
         return groups

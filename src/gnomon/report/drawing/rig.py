@@ -1,5 +1,6 @@
 """Drawings in space: the cameras and IMUs of a rig; the accelerometers of one IMU, its origin and the camera."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from ...results.calibration import Calibration
 from ..numbers import number_text
 from ..page import Figure, Legend
 from . import svg
-from .figures import AXES, TEXT, WIDTH, LabelPlaces, Sheet, fit_to_scale, half_size
+from .figures import AXES, TEXT, WIDTH, LabelPlaces, Plot, Sheet, fit_to_scale, half_size
 from .panel import DASHED, Panel
 
 
@@ -29,7 +30,7 @@ def _body(name: str, T: Floats, *, image: bool = False) -> _Body:
     return _Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=image)
 
 
-def rig_drawing(calibration: Calibration) -> str:
+def rig_drawing(calibration: Calibration) -> Plot:
     """Draw the IMUs, if any, and the cameras to scale, as triads, from behind the first camera, a little from above."""
     first = next(iter(calibration.cameras.values())).T_cam_body
     bodies = [_Body(name="imu0", origin=first[:3, 3], axes=first[:3, :3])] if calibration.imus else []
@@ -47,18 +48,16 @@ def rig_drawing(calibration: Calibration) -> str:
     cameras = [body for body in bodies if body.image]
     corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
     tips = [body.origin + length * body.axes.T for body in bodies]
-    fit_to_scale(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])), _HEIGHT, room=(150, 70))
+    fit_to_scale(panel, _seen(np.concatenate([np.array(origins), *corners, *tips])), _HEIGHT, room=(150, 70))
     links = [np.stack([bodies[0].origin, body.origin]) for body in bodies[1:]]
     for link in links:
-        ends = _flat(link)
-        panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
+        _line(panel, _seen(link), "muted", width=1.2, dash=DASHED)
     edges: list[Floats] = []
     for body, image in zip(cameras, corners, strict=True):
         edges += [np.stack([body.origin, corner]) for corner in image]
         edges += [image[[k, (k + 1) % 4]] for k in range(4)]
     for edge in edges:
-        flat = _flat(edge)
-        panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
+        _line(panel, _seen(edge), "before", width=1.1)
     for body in bodies:
         _triad(panel, body, length)
     axes = [np.stack([body.origin, tip]) for body, ends in zip(bodies, tips, strict=True) for tip in ends]
@@ -74,18 +73,23 @@ _AROUND = np.column_stack([f(np.linspace(0, 2 * np.pi, 32, endpoint=False)) for 
 _LOOK = rotation_from_rotvec(np.array([np.radians(24), 0, 0])) @ rotation_from_rotvec(np.array([0, np.radians(-38), 0]))
 
 
-def _flat(points: Floats) -> Floats:
-    """Project points (..., 3) of the first camera's frame (x right, y down) to the page (..., 2), y up."""
-    return (points @ _LOOK.T)[..., :2] * (1, -1)
+def _seen(points: Floats) -> Floats:
+    """Return points (..., 3) of the first camera's frame (x right, y down) as right, up and towards the reader."""
+    return points @ _LOOK.T * (1, -1, -1)
+
+
+def _line(panel: Panel, points: Floats, color: str, *, width: float, dash: Sequence[float] = ()) -> None:
+    """Draw a line through points (n, 3) as they are seen."""
+    panel.line(points[:, 0], points[:, 1], color, width=width, dash=dash, depth=points[:, 2])
 
 
 def _on_page(panel: Panel, points: Floats) -> Floats:
-    """Return where points (..., 2) of the scales are, in figure units."""
+    """Return where points (..., 3), as they are seen, are drawn, (..., 2) in figure units."""
     return np.stack([panel.x.places(points[..., 0]), panel.y.places(points[..., 1])], axis=-1)
 
 
 def _name(panel: Panel, places: LabelPlaces, text: str, point: Floats, room: float, *, bold: bool) -> None:
-    """Write a text beside a point (2,) of the scales, off the lines."""
+    """Write a text beside a point (3,) as it is seen, off the lines."""
     base, ring = _on_page(panel, point), half_size(text) + room
     if np.isfinite(base).all():
         place = places.take(text, np.concatenate([base + reach * ring * _AROUND for reach in (1.0, 1.4, 1.9)]))
@@ -94,13 +98,13 @@ def _name(panel: Panel, places: LabelPlaces, text: str, point: Floats, room: flo
 
 def _label(panel: Panel, bodies: list[_Body], links: list[Floats], lines: Floats, length: float) -> None:
     """Write the names of the bodies, and how far they are from the first one where there is room for it."""
-    drawn = _on_page(panel, _flat(lines))
+    drawn = _on_page(panel, _seen(lines))
     places = LabelPlaces(drawn[np.isfinite(drawn).all(axis=(1, 2))], WIDTH, _HEIGHT)
     for body in bodies:
-        _name(panel, places, body.name, _flat(body.origin), 4.0, bold=True)
+        _name(panel, places, body.name, _seen(body.origin), 4.0, bold=True)
     for link in links:
-        start, stop = _on_page(panel, _flat(link))
-        if not np.linalg.norm(np.diff(_flat(link), axis=0)) > 1.5 * length:
+        start, stop = _on_page(panel, _seen(link))
+        if not np.linalg.norm(np.diff(_seen(link), axis=0)) > 1.5 * length:
             continue
         far = f"{number_text(1e3 * float(np.linalg.norm(link[1] - link[0])), 3)} mm"
         aside = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
@@ -108,31 +112,33 @@ def _label(panel: Panel, bodies: list[_Body], links: list[Floats], lines: Floats
         middles = [start + share * (stop - start) for share in (0.5, 0.6, 0.4, 0.7, 0.3, 0.8, 0.2)]
         place = places.take_free(far, np.array([middle + side * aside for middle in middles for side in (1, -1)]))
         if place is not None:
-            _write(panel, far, _flat(link[0]), place - start)
+            _write(panel, far, _seen(link[0]), place - start)
 
 
 def _write(panel: Panel, text: str, at: Floats, offset: Floats, *, color: str = "muted", bold: bool = False) -> None:
-    """Write a text about a point (2,) of the scales that is moved by an offset (right, down) in figure units."""
-    x, y = at.tolist()
+    """Write a text about a point (3,), as it is seen, moved by an offset (right, down) in figure units."""
+    x, y, depth = at.tolist()
     place = float(offset[0]), svg.MIDDLE * TEXT + float(offset[1])
-    panel.text(text, x, y, svg.text_style(color, TEXT, "center", bold=bold), offset=place)
+    style = svg.TextStyle(color=color, size=TEXT, align="center", bold=bold)
+    panel.text(text, x, y, style, offset=place, depth=depth)
 
 
 def _triad(panel: Panel, body: _Body, length: float) -> None:
     """Draw three axes as arrows."""
-    base = _flat(body.origin)
-    for tip, name in zip(_flat(body.origin + length * body.axes.T), AXES, strict=True):
-        along = tip - base
-        head = 0.12 * length / (float(np.linalg.norm(along)) or 1.0)
-        aside = 0.55 * head * np.array([-along[1], along[0]])
-        _arrow(panel, np.stack([base, tip]), name, 2.6, head=head * along, aside=aside)
+    base = _seen(body.origin)
+    for tip, name in zip(_seen(body.origin + length * body.axes.T), AXES, strict=True):
+        _arrow(panel, np.stack([base, tip]), name, 2.6, head=0.12 * length)
 
 
-def _arrow(panel: Panel, ends: Floats, color: str, width: float, *, head: Floats, aside: Floats) -> None:
-    """Draw an arrow from ends[0] to ends[1], (2, 2), whose head reaches back and aside by so much."""
-    barbs = [ends[1] - head + sign * aside for sign in (1, -1)]
-    line = np.stack([ends[0], ends[1], barbs[0], ends[1], barbs[1]])
-    panel.line(line[:, 0], line[:, 1], color, width=width, ends="round")
+def _arrow(panel: Panel, ends: Floats, color: str, width: float, *, head: float, dash: Sequence[float] = ()) -> None:
+    """Draw an arrow from ends[0] to ends[1], (2, 3) as they are seen, whose head is so long on the page."""
+    _line(panel, ends, color, width=width, dash=dash)
+    along = ends[1] - ends[0]
+    flat = float(np.linalg.norm(along[:2])) or 1.0
+    back = head * along / flat
+    aside = 0.55 * head * np.array([-along[1], along[0], 0.0]) / flat
+    barbs = np.stack([ends[1] - back + aside, ends[1], ends[1] - back - aside])
+    _line(panel, barbs, color, width=width)
 
 
 _IMU_HEIGHT = 320.0
@@ -159,13 +165,13 @@ def origin_figure(calibration: Calibration, name: str) -> Figure | None:
     )
 
 
-def _drawing(arms: Floats, sigma: Floats, R_cam_imu: Floats, p_cam_imu: Floats, camera: str) -> str:
+def _drawing(arms: Floats, sigma: Floats, R_cam_imu: Floats, p_cam_imu: Floats, camera: str) -> Plot:
     """Return the drawing of places (3, 3) with sigmas [mm], IMU's axes, and the camera's direction."""
     length = max(_LEAST_MM, 0.45 * float(np.abs(arms).max()))
 
-    def flat(points: Floats) -> Floats:
-        """Project points (n, 3) of the IMU's axes [mm] to the page (n, 2), y up."""
-        return (points @ R_cam_imu.T @ _LOOK.T)[:, :2] * (1, -1)
+    def seen(points: Floats) -> Floats:
+        """Return points (n, 3) of the IMU's axes [mm] as they are seen."""
+        return _seen(points @ R_cam_imu.T)
 
     towards = -R_cam_imu.T @ p_cam_imu
     towards = 2.2 * length * towards / max(float(np.linalg.norm(towards)), 1e-12)
@@ -175,22 +181,22 @@ def _drawing(arms: Floats, sigma: Floats, R_cam_imu: Floats, p_cam_imu: Floats, 
         lines += [("before", place + np.outer([-1, 1], spread[i] * np.eye(3)[i]), 3.0) for i in range(3)]
         lines.append((AXES[k], np.stack([place, place + length * np.eye(3)[k]]), 2.6))
     lines.append(("ink", np.stack([np.zeros(3), towards]), 1.6))
-    drawn = np.array([flat(line) for _, line, _ in lines])
+    drawn = np.array([seen(line) for _, line, _ in lines])
 
     sheet = Sheet()
     panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_IMU_HEIGHT)
-    fit_to_scale(panel, drawn.reshape(-1, 2), _IMU_HEIGHT, room=(180, 70))
+    fit_to_scale(panel, drawn.reshape(-1, 3), _IMU_HEIGHT, room=(180, 70))
     for (color, _, width), ends in zip(lines, drawn, strict=True):
         dash = DASHED if color in ("muted", "ink") else ()
-        panel.line(ends[:, 0], ends[:, 1], color, width=width, dash=dash)
         if color in ("ink", *AXES):
-            along = ends[1] - ends[0]
-            _arrow(panel, ends, color, width, head=0.14 * along, aside=0.08 * np.array([-along[1], along[0]]))
-    points = flat(np.vstack([arms, np.zeros((1, 3))]))
+            _arrow(panel, ends, color, width, head=0.14 * length, dash=dash)
+        else:
+            _line(panel, ends, color, width=width, dash=dash)
+    points = seen(np.vstack([arms, np.zeros((1, 3))]))
     for point, color, size in zip(points, (*AXES, "ink"), (9.0, 9.0, 9.0, 11.0), strict=True):
-        panel.dots(point[:1], point[1:], color, size)
+        panel.dots(point[:1], point[1:2], color, size, depth=point[2:])
     places = LabelPlaces(_on_page(panel, drawn), WIDTH, _IMU_HEIGHT)
     texts = (*(f"{axis} accelerometer" for axis in AXES), "origin", f"to {camera}")
-    for text, point in zip(texts, np.vstack([points, flat(towards[None])]), strict=True):
+    for text, point in zip(texts, np.vstack([points, seen(towards[None])]), strict=True):
         _name(panel, places, text, point, 6.0, bold=text == "origin")
     return sheet.draw("imu-origin", _IMU_HEIGHT, "Where the accelerometers, the origin and the camera are.")

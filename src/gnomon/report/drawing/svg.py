@@ -1,11 +1,13 @@
 """Pieces of SVG: paths with two decimals, their styles in the colours of the page, and texts."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from ...recording import Floats
 
+Align = Literal["left", "center", "right"]
 _FAR = 99_999.0
 """Nothing is drawn farther out than this [figure units], where no screen shows it."""
 MIDDLE = 0.26
@@ -60,42 +62,71 @@ def _rounded(*columns: Floats) -> tuple[float, ...]:
     return tuple(places.ravel().tolist())
 
 
-def stroke_style(
-    color: str, width: float, *, dash: Sequence[float] = (), alpha: float = 1.0, ends: str = "square"
-) -> str:
-    """Return the style of a line; dashes and gaps are in widths of the line, and dashes end where they end."""
-    style = f"fill:none;stroke:{color_variable(color)}"
-    style += "" if width == 1 else f";stroke-width:{width:g}"
-    style += f";stroke-opacity:{alpha:g}" if alpha < 1 else ""
-    if dash:
-        return f"{style};stroke-dasharray:{' '.join(short_number(width * part) for part in dash)}"
-    return style if ends == "butt" else f"{style};stroke-linecap:{ends}"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeStyle:
+    """How a shape is drawn: its outline, and whether it is filled.
+
+    Attributes
+    ----------
+    color : page.css defines it as --plot-NAME
+    width : of the line in figure units; 0 for none
+    dash : lengths of dashes and gaps, in widths of the line
+    alpha : opacity of the line, or of the area
+    ends : of lines; "miter" for steps with sharp corners
+    filled : whether it is an area
+    """
+
+    color: str
+    width: float = 1.0
+    dash: tuple[float, ...] = ()
+    alpha: float = 1.0
+    ends: Literal["square", "round", "butt", "miter"] = "square"
+    filled: bool = False
+
+    def css(self) -> str:
+        """Return it for an element of SVG; dashes end where they end."""
+        color, opacity = color_variable(self.color), f"opacity:{self.alpha:g}"
+        if self.filled:
+            style = f"fill:{color}" + (f";fill-{opacity}" if self.alpha < 1 else "")
+            return style + (f";stroke:{color};stroke-width:{self.width:g}" if self.width else "")
+        style = f"fill:none;stroke:{color}"
+        style += "" if self.width == 1 else f";stroke-width:{self.width:g}"
+        style += f";stroke-{opacity}" if self.alpha < 1 else ""
+        if self.dash:
+            return f"{style};stroke-dasharray:{' '.join(short_number(self.width * part) for part in self.dash)}"
+        if self.ends == "miter":
+            return f"{style};stroke-linejoin:miter"
+        return style if self.ends == "butt" else f"{style};stroke-linecap:{self.ends}"
 
 
-def dot_stroke(color: str, size: float) -> str:
+def dot_css(style: ShapeStyle) -> str:
     """Return the style of dots; they keep their size on the screen when a figure is zoomed, so that they come apart."""
     return (
-        f"fill:none;stroke:{color_variable(color)};stroke-width:calc({size:g}px / var(--plot-zoom, 1));"
+        f"fill:none;stroke:{color_variable(style.color)};stroke-width:calc({style.width:g}px / var(--plot-zoom, 1));"
         "stroke-linecap:round"
     )
 
 
-def fill_style(color: str, *, alpha: float = 1.0, edge: float = 0.0) -> str:
-    """Return the style of an area, with an outline of this width in its colour."""
-    style = f"fill:{color_variable(color)}" + (f";fill-opacity:{alpha:g}" if alpha < 1 else "")
-    return style + (f";stroke:{color_variable(color)};stroke-width:{edge:g}" if edge else "")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextStyle:
+    """How a text is written: colour of page.css, size in figure units, and which part of it stands at its place."""
+
+    color: str
+    size: float
+    align: Align = "left"
+    bold: bool = False
+
+    def css(self) -> str:
+        """Return it for an element of SVG; page.css multiplies its size by --plot-text, raised on small screens."""
+        anchor = {"left": "", "center": ";text-anchor:middle", "right": ";text-anchor:end"}[self.align]
+        weight = ";font-weight:600" if self.bold else ""
+        return f"--size:{self.size:g}px{anchor};fill:{color_variable(self.color)}{weight}"
 
 
-def text_style(color: str, size: float, align: str, *, bold: bool = False) -> str:
-    """Return the style of a text; page.css multiplies its size by --plot-text, which it raises on small screens."""
-    anchor = {"left": "", "center": ";text-anchor:middle", "right": ";text-anchor:end"}[align]
-    return f"--size:{size:g}px{anchor};fill:{color_variable(color)}{';font-weight:600' if bold else ''}"
-
-
-def text_element(text: str, x: float, y: float, style: str = "") -> str:
+def text_element(text: str, x: float, y: float, style: TextStyle | None = None) -> str:
     """Return a line of text with its baseline at y; without a style it has that of its group."""
     from markupsafe import escape
 
     drawable = text.encode("utf-8", "backslashreplace").decode()  # bytes that were no text, shown as escapes
-    styled = f' style="{style}"' if style else ""
+    styled = f' style="{style.css()}"' if style else ""
     return f'<text{styled} x="{short_number(x)}" y="{short_number(y)}">{escape(drawable)}</text>'

@@ -9,7 +9,7 @@ from ...results.intervals import Booleans
 from ...study.angrisano import NAMES, AngrisanoSample, AngrisanoStudy, angrisano_claims, angrisano_group_rms
 from ...study.angrisano_trial import GROUPS, TABLE_2, TRUTH, Basin, Journey
 from ..drawing import svg
-from ..drawing.figures import LEFT, Sheet, draw_dots, set_y_limits
+from ..drawing.figures import LEFT, Plot, Sheet, draw_dots, set_y_limits
 from ..drawing.panel import Panel
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
@@ -153,7 +153,7 @@ def _interval(ends: Floats) -> str:
     return f"{number_text(float(ends[0]), 3)} to +{number_text(float(ends[1]), 3)}"
 
 
-def _basins(basins: tuple[Basin, ...]) -> str:
+def _basins(basins: tuple[Basin, ...]) -> Plot:
     sheet = Sheet()
     for k, basin in enumerate(basins):
         title = f"{basin.group[:1].upper()}{basin.group[1:]}: offset [{_UNITS[k]}]"
@@ -176,10 +176,10 @@ def _basin(panel: Panel, basin: Basin, group: int) -> None:
     panel.y.ticks, panel.y.grid, panel.x.ticks = (), False, ()
     for row, (name, tried, found, color) in enumerate(reversed(rows)):
         _strip(panel, tried, found, row, color)
-        panel.text(name, float(place[0]), row, svg.text_style("muted", 12, "right"), offset=(-8.0, 4.0))
+        panel.text(name, float(place[0]), row, svg.TextStyle(color="muted", size=12, align="right"), offset=(-8.0, 4.0))
     for at in range(round(place[0]), round(place[-1]) + 1):
         label = number_text(float(_SHOWN[group] * (at * high if at > 0 else -at * low)), 3)
-        panel.text(label, float(at), -0.6, svg.text_style("muted", 12, "center"), offset=(0.0, 18.0))
+        panel.text(label, float(at), -0.6, svg.TextStyle(color="muted", size=12, align="center"), offset=(0.0, 18.0))
     panel.upright(0.0, "muted")
 
 
@@ -221,7 +221,7 @@ def _iterations(study: AngrisanoStudy) -> Section:
     )
 
 
-def _journey(name: str, journey: Journey) -> str:
+def _journey(name: str, journey: Journey) -> Plot:
     visited = journey.fit.visited[: _MOST + 1]
     steps = np.arange(len(visited), dtype=np.float64)
     panels = (("Angles [°]", 0, _SHOWN[0]), ("Biases [count]", 3, 1.0), ("Scale factors [10⁻³ m/s² per count]", 6, 1e3))

@@ -7,7 +7,7 @@ import numpy as np
 from ...recording import Floats
 from ...study.krebs import KrebsSample, KrebsStudy
 from ...study.krebs_thesis import KrebsRig, group_columns
-from ..drawing.figures import WIDTH, Sheet
+from ..drawing.figures import WIDTH, Plot, Sheet
 from ..drawing.panel import Panel
 from ..numbers import finite_values, positive_or
 
@@ -21,7 +21,7 @@ _PITCH = _HEIGHT + 84
 
 def _histograms(
     name: str, samples: Sequence[KrebsSample], symbol: str, *, factor: float, unit: str, truth: Floats
-) -> str:
+) -> Plot:
     """Draw histograms of the estimates of a vector, a row for each series, with fitted normal distributions.
 
     Parameters
@@ -43,7 +43,7 @@ def _histograms(
     return sheet.draw(name, _PITCH * len(samples), alt)
 
 
-def noise_levels(study: KrebsStudy) -> str:
+def noise_levels(study: KrebsStudy) -> Plot:
     """Draw the fitted distributions of p_cb at each noise level, with pixel noise and without it (Fig. 5.3)."""
     sheet = Sheet()
     for row, (samples, title) in enumerate(
@@ -60,7 +60,7 @@ def noise_levels(study: KrebsStudy) -> str:
     return sheet.draw("levels", 2 * _PITCH, "Normal distributions of the error of p_cb at three noise levels.")
 
 
-def draw_model_neglect(study: KrebsStudy) -> str:
+def draw_model_neglect(study: KrebsStudy) -> Plot:
     """Draw the histograms of p_cb's error with the extended and with the basic model (Fig. 5.4)."""
     sheet = Sheet()
     for k, axis in enumerate(AXES):
@@ -119,11 +119,11 @@ def _hold(panel: Panel, low: float, high: float, top: float) -> None:
     panel.y.span(0.0, 1.06 * top if fresh else max(1.06 * top, panel.y.high))
 
 
-def draw_translation(study: KrebsStudy) -> str:
+def draw_translation(study: KrebsStudy) -> Plot:
     """Draw p_cb at each noise level (Figs. 5.2 and B.1)."""
     return _histograms("p-cb", study.noise_levels, "p_cb", factor=1e3, unit="mm", truth=KrebsRig().T_cam_imu[:3, 3])
 
 
-def draw_scale_errors(study: KrebsStudy) -> str:
+def draw_scale_errors(study: KrebsStudy) -> Plot:
     """Draw the errors of S_a at each noise level (Fig. B.2)."""
     return _histograms("s-a", study.noise_levels, "S_a", factor=1e3, unit="10⁻³", truth=np.zeros(3))

@@ -8,7 +8,7 @@ from ...recording import Floats
 from ...study.tedaldi import Example, TedaldiStudy
 from ...study.tedaldi_claims import GROUPS
 from ...study.tedaldi_trial import METHODS
-from ..drawing.figures import Sheet, draw_dots, draw_envelope, log_limits, set_y_limits
+from ..drawing.figures import Plot, Sheet, draw_dots, draw_envelope, log_limits, set_y_limits
 from ..page import Figure, Legend
 
 _AXES = ("x", "y", "z")
@@ -70,7 +70,7 @@ def detector_figure(study: TedaldiStudy) -> Figure:
     )
 
 
-def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats | None = None) -> str:
+def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats | None = None) -> Plot:
     """Return the envelope of signals (n, 3) over time, with rests (k, 2) as a square wave."""
     step = -(-len(t_s) // _BINS)
     first = np.arange(0, len(t_s), step)
@@ -109,7 +109,7 @@ def improvement_figures(study: TedaldiStudy) -> tuple[Figure, ...]:
     )
 
 
-def _improved(example: Example, which: int, k: int, motion: Floats, title: str) -> str:
+def _improved(example: Example, which: int, k: int, motion: Floats, title: str) -> Plot:
     room = 0.3  # seconds on either side
     shown = (example.t_s >= motion[0] - room) & (example.t_s <= motion[1] + room)
     t_s = example.t_s[shown]
