@@ -311,7 +311,7 @@ def draw_imu_path(motion: RigMotion) -> Plot:
     return sheet.draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.")
 
 
-def draw_scene(trajectory: TrajectoryTrack, gravity: Floats, scene: SceneMap, sightings: Floats) -> str:
+def draw_scene(trajectory: TrajectoryTrack, gravity: Floats, scene: SceneMap, sightings: Floats) -> Plot:
     """Draw the landmarks of a scene and the path of the IMU, from above and from the side.
 
     Parameters
