@@ -168,7 +168,7 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
         (
             Figure(
                 "Cameras around the board",
-                cameras_views.draw_scene(around),
+                cameras_views.draw_views_in_space(around),
                 legend,
                 f"The {len(around.position)} views used, in the frame of the board.",
             ),

@@ -108,7 +108,7 @@ def _pyramids(around: ViewsAround) -> tuple[Floats, Floats]:
     return outline, around.telling[chosen]
 
 
-def draw_scene(around: ViewsAround) -> Plot:
+def draw_views_in_space(around: ViewsAround) -> Plot:
     """Draw the cameras as pyramids about the board, seen from the side, a little from above."""
     outlines, telling = _pyramids(around)
 

@@ -202,7 +202,7 @@ def _room(rng: np.random.Generator) -> Floats:
     return points * _ROOM_M
 
 
-def perturbed(rig: Rig, sizes: Mapping[str, float], drawn: Mapping[str, Floats]) -> Rig:
+def perturb_rig(rig: Rig, sizes: Mapping[str, float], drawn: Mapping[str, Floats]) -> Rig:
     """Return the rig as somebody takes it to be who is off in some quantities.
 
     Parameters

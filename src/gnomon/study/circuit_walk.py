@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..estimate.odometry.invariant_filter import Beginning, Sightings, estimate_path
-from ..estimate.odometry.preintegration import preintegrate
+from ..estimate.odometry.preintegration import preintegrate_imu
 from ..options.requirements import BETWEEN_RECORDINGS, USES
 from ..recording import Floats
 from ..simulate.walk import SimulatedWalk, WalkScenario, simulate_walk
-from .circuit_rig import DENSITIES, LEVELS, QUANTITIES, WALKS, CalibratedRig, Rig, calibrated_rig, perturbed
+from .circuit_rig import DENSITIES, LEVELS, QUANTITIES, WALKS, CalibratedRig, Rig, calibrated_rig, perturb_rig
 from .path_errors import path_errors
 
 SCENARIO = WalkScenario()
@@ -92,7 +92,7 @@ def walk_circuit(task: CircuitTask) -> CircuitRun:
         rig = calibrated.levels.get("nominal" if way == INFLATED else way)
         if rig is None:
             continue
-        path = followed(walk, rig, draws["begin"], _INFLATED_BY if way == INFLATED else 1.0)
+        path = follow_walk(walk, rig, draws["begin"], _INFLATED_BY if way == INFLATED else 1.0)
         errors[row], paths[row] = _errors(path, (walk.R_world_imu, walk.p_world_imu)), path[1]
     from_above = np.array([*paths, walk.p_world_imu])[:, :: max(1, len(walk.stamp_s) // 200)][..., [0, 2]]
     return CircuitRun(length_m=walk.length_m, errors=errors, sigma=calibrated.sigma, example=from_above)
@@ -103,9 +103,9 @@ def walk_with_parts_off(task: PartsTask) -> PartsRun:
     calibrated = calibrated_rig(task.seed, levels=False)
     walk, draws = _walk(calibrated, task.seed)
     truth = walk.R_world_imu, walk.p_world_imu
-    best = followed(walk, calibrated.truth, draws["begin"])
+    best = follow_walk(walk, calibrated.truth, draws["begin"])
     paths = [
-        followed(walk, perturbed(calibrated.truth, dict(zip(QUANTITIES, off, strict=True)), draws), draws["begin"])
+        follow_walk(walk, perturb_rig(calibrated.truth, dict(zip(QUANTITIES, off, strict=True)), draws), draws["begin"])
         for off in task.off
     ]
     return PartsRun(
@@ -120,7 +120,7 @@ def _walk(calibrated: CalibratedRig, seed: int) -> tuple[SimulatedWalk, Mapping[
     return walk, {"begin": rng.standard_normal(15), **{name: rng.standard_normal(9) for name in QUANTITIES}}
 
 
-def followed(walk: SimulatedWalk, rig: Rig, drawn: Floats, noise: float = 1.0) -> tuple[Floats, Floats]:
+def follow_walk(walk: SimulatedWalk, rig: Rig, drawn: Floats, noise: float = 1.0) -> tuple[Floats, Floats]:
     """Return the path by odometry with a calibration, R (k, 3, 3) and p (k, 3).
 
     It begins at the true pose, with the true velocity and biases but for errors of the stated sizes.
@@ -143,7 +143,7 @@ def followed(walk: SimulatedWalk, rig: Rig, drawn: Floats, noise: float = 1.0) -
     )
     samples = known.apply(walk.samples)
     white = noise * DENSITIES[0], noise * DENSITIES[1]
-    increments = preintegrate(
+    increments = preintegrate_imu(
         walk.imu_t_s, samples.gyroscope.values, samples.accelerometer.values, walk.stamp_s + rig.time_shift_s, white
     )
     sightings = Sightings(

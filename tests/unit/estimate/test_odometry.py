@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.odometry.invariant_filter import Beginning, Sightings, estimate_path
-from gnomon.estimate.odometry.preintegration import preintegrate
+from gnomon.estimate.odometry.preintegration import preintegrate_imu
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_rig import drawn_imu_truth, nominal_extrinsics
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
@@ -28,13 +28,13 @@ def walked(noise_factor=1.0, scenario=SHORT, seed=4):
 
 def increments_of(walk, *, rate=0.0, force=0.0, shift_s=SHIFT_S):
     samples = walk.samples
-    return preintegrate(
+    return preintegrate_imu(
         walk.imu_t_s, samples.gyroscope.values - walk.b_g - rate, samples.accelerometer.values - walk.b_a - force,
         walk.stamp_s + shift_s, DENSITIES,
     )  # fmt: skip
 
 
-def followed(walk, increments, turn=HERE[0], moved=HERE[1]):
+def follow_walk(walk, increments, turn=HERE[0], moved=HERE[1]):
     return estimate_path(
         increments,
         Sightings(last=walk.last, count=walk.count, rays=walk.rays, sigma=0.5 / 460),
@@ -87,7 +87,7 @@ def test_the_covariance_of_increments_is_that_of_their_scatter():
 @pytest.mark.long
 def test_without_noise_the_path_is_the_true_one():
     walk = walked(noise_factor=0.0, scenario=replace(SHORT, pixel_noise_px=0.0))
-    R, p = followed(walk, increments_of(walk))
+    R, p = follow_walk(walk, increments_of(walk))
     assert np.abs(p - walk.p_world_imu).max() < 5e-3
     assert np.abs(rotvec_from_rotation(np.swapaxes(R, 1, 2) @ walk.R_world_imu)).max() < 1e-3
 
@@ -97,8 +97,8 @@ def test_the_path_does_not_depend_on_where_it_begins_and_which_way_it_heads():
     walk = walked()
     increments = increments_of(walk)
     turn, moved = rotation_from_rotvec(np.array([0.0, 2.0, 0.0])), np.array([50.0, -3.0, 70.0])
-    R, p = followed(walk, increments)
-    other_R, other_p = followed(walk, increments, turn, moved)
+    R, p = follow_walk(walk, increments)
+    other_R, other_p = follow_walk(walk, increments, turn, moved)
     np.testing.assert_allclose(other_p, p @ turn.T + moved, atol=1e-3)
     np.testing.assert_allclose(other_R, turn @ R, atol=1e-4)
 
@@ -107,7 +107,7 @@ def test_the_path_does_not_depend_on_where_it_begins_and_which_way_it_heads():
 def test_noise_costs_decimetres_and_a_wrong_clock_more():
     walk = walked()
     off = {
-        shift_s: np.linalg.norm(followed(walk, increments_of(walk, shift_s=shift_s))[1][-1] - walk.p_world_imu[-1])
+        shift_s: np.linalg.norm(follow_walk(walk, increments_of(walk, shift_s=shift_s))[1][-1] - walk.p_world_imu[-1])
         for shift_s in (SHIFT_S, SHIFT_S + 0.008)
     }
     assert 1e-3 < off[SHIFT_S] < 0.1

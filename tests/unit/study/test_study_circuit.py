@@ -10,7 +10,7 @@ from gnomon.simulate.walk import WalkScenario
 from gnomon.study import circuit_walk
 from gnomon.study.circuit import PROBES, CircuitStudy
 from gnomon.study.circuit_claims import circuit_claims, circuit_tables
-from gnomon.study.circuit_rig import LEVELS, QUANTITIES, calibrated_rig, perturbed
+from gnomon.study.circuit_rig import LEVELS, QUANTITIES, calibrated_rig, perturb_rig
 from gnomon.study.circuit_walk import WAYS, CircuitRun, PartsRun, PartsTask, walk_with_parts_off
 from gnomon.study.path_errors import path_errors
 
@@ -49,7 +49,7 @@ def test_a_rig_is_off_in_what_is_asked_for_alone():
     truth = calibrated_rig(3, levels=False).truth
     drawn = {name: np.arange(1.0, 10.0) for name in QUANTITIES}
     for name in QUANTITIES:
-        off = perturbed(truth, {name: 1e-3}, drawn)
+        off = perturb_rig(truth, {name: 1e-3}, drawn)
         gyroscope, true_gyroscope = off.imu.gyroscope, truth.imu.gyroscope
         rate = np.linalg.solve(true_gyroscope.sensitivity, gyroscope.sensitivity) - np.eye(3)
         force = off.imu.required_accelerometer.sensitivity - truth.imu.required_accelerometer.sensitivity

@@ -38,7 +38,7 @@ class Increments:
     covariance: Floats
 
 
-def preintegrate(
+def preintegrate_imu(
     t_s: Floats, rate: Floats, force: Floats, instants_s: Floats, densities: tuple[float, float]
 ) -> Increments:
     """Return the motion between neighbouring instants, by the rule of midpoints of linearly interpolated readings.
