@@ -190,7 +190,7 @@ CHANGE = QuantityChange(
         (0.1, None, "info"),
         (0.2, None, "warning"),
         (2.0, None, "problem"),
-        (0.1, "vio", "warning"),
+        (0.11, "vio", "warning"),
         (0.1, "ahrs", "info"),
     ],
 )

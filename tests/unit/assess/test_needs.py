@@ -48,7 +48,7 @@ def test_every_quantity_of_a_use_is_judged(waved):
     assert {need.verdict for need in found.assessment.trust.needs} == {"pass"}
     shift = need_of(found, "time shift of cam0")
     assert shift.sigma == pytest.approx(1e3 * float(waved.sigma("cam0.time_shift_cam_imu")), rel=1e-4)
-    assert (shift.needed, shift.unit, shift.cure) == (0.3, "ms", "")
+    assert (shift.needed, shift.unit, shift.cure) == (0.25, "ms", "")
     assert found.uncertainty is waved.uncertainty
 
 
@@ -64,7 +64,7 @@ def test_what_is_too_coarse_warns_and_far_beyond_fails(waved):
         assert bool(need.cure) == (verdict != "pass")
         if verdict != "pass":
             (finding,) = [f for f in found.assessment.findings if f.code == "use-imprecise"]
-            assert "vio needs the rotation of cam0 against the IMU to 0.1 deg, and has" in finding.message
+            assert "vio needs the rotation of cam0 against the IMU to 0.08 deg, and has" in finding.message
             assert finding.cure == need.cure
 
 
