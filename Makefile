@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz docs install dev clean
+.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz docs notebooks install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
@@ -29,6 +29,7 @@ help:
 	@echo "make bench        time what has a limit, beside the limits and other programs"
 	@echo "make fuzz         try 100 000 damaged files on every reader; takes hours, and goes on where it left off"
 	@echo "make docs         build the documentation as a site, in site/"
+	@echo "make notebooks    run the notebooks of the documentation anew"
 	@echo "make clean        remove the environments and what the tools left behind"
 
 demo: install
@@ -78,6 +79,11 @@ docs: dev
 	$(BIN)/python $(INSTALL) --group docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "site/index.html"
+
+# Runs them anew, with their pictures; a cell that fails ends it.
+notebooks: dev
+	$(BIN)/python $(INSTALL) --group notebooks
+	$(BIN)/python docs/make_notebooks.py
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed

@@ -7,14 +7,15 @@ from ..errors import OptionError
 from ..formats.own.options_file import read_use
 from ..options.requirements import GENERAL, Use
 from ..results.calibration import Calibration
+from ..results.result import Result, calibration_of
 
 
-def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibration:
+def judge(calibration: Calibration | Result, use: str | PathLike[str] | Use) -> Calibration:
     """Judge a calibration against what a use needs; the numbers stay, verdict and findings change.
 
     Parameters
     ----------
-    calibration : any, with its covariance
+    calibration : any, with its covariance, or a result
     use : "vio", "ahrs", "gimbal", "phone", a YAML file that states other needs, or "general" for no special use
 
     Returns
@@ -24,7 +25,7 @@ def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibrati
     Raises
     ------
     OptionError
-        If there is no such use, or the calibration is of cameras alone; FormatError where the
+        If it is no calibration, there is no such use, or the calibration is of cameras alone; FormatError where the
         file is not as it should be.
 
     Examples
@@ -36,6 +37,7 @@ def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibrati
     >>> fit_for.assessment.trust.use, len(fit_for.assessment.trust.needs)
     ('ahrs', 6)
     """
+    calibration = calibration_of(calibration)
     found = stated_use(use)
     if not calibration.imus:
         if found is None:

@@ -1,5 +1,6 @@
 """A calibration, and how it came about: what a report draws and `diagnostics.npz` keeps. Values only."""
 
+from ..errors import OptionError
 from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Calibration
@@ -71,3 +72,19 @@ class Result(Plotted):
     def __repr__(self) -> str:
         """Return it on one line."""
         return f"Result({self.calibration!r})"
+
+
+def calibration_of(given: Calibration | Result) -> Calibration:
+    """Return the calibration that was given, or that of a result.
+
+    Raises
+    ------
+    OptionError
+        If it is neither.
+    """
+    calibration = given.calibration if isinstance(given, Result) else given
+    if not isinstance(calibration, Calibration):  # pyright: ignore[reportUnnecessaryIsInstance] - of people
+        raise OptionError(
+            f"a calibration or a result is wanted, not {type(given).__name__}. gnomon.load(FILE) reads a calibration."
+        )
+    return calibration

@@ -27,6 +27,7 @@ from ...results.calibration import (
     Provenance,
     calibration_parameters,
 )
+from ...results.result import Result, calibration_of
 from ...results.trust import Need, QuantityChange, UncertaintySummary
 from ..shared.yaml_text import yaml_lines
 from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, TEMPERATURE_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
@@ -136,15 +137,17 @@ _SIGMAS = """\
 """
 
 
-def save(calibration: Calibration, path: str | PathLike[str]) -> None:
-    """Write a calibration to gnomon's own YAML file; a second run writes the same bytes.
+def save(calibration: Calibration | Result, path: str | PathLike[str]) -> None:
+    """Write a calibration, or that of a result, to gnomon's own YAML file; a second run writes the same bytes.
 
     Raises
     ------
     OutputError
         If the file cannot be written, or a parameter is not a finite number.
+    OptionError
+        If it is no calibration.
     """
-    write_whole(path, calibration_text(calibration))
+    write_whole(path, calibration_text(calibration_of(calibration)))
 
 
 def calibration_text(calibration: Calibration) -> str:
