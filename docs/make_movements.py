@@ -79,7 +79,7 @@ def box(frames: Sequence[Floats], seconds: float, places: Sequence[Floats] | Non
 
 def svg(name: str, title: str, body: str) -> None:
     """Write a drawing above the table."""
-    ground = corners(1.9 * np.array([[-1, -1, -0.36], [1, -1, -0.36], [1, 1, -0.36], [-1, 1, -0.36]]))
+    ground = corners(1.55 * np.array([[-1, -1, -0.36], [1, -1, -0.36], [1, 1, -0.36], [-1, 1, -0.36]]))
     (FOLDER / f"{name}.svg").write_text(
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {SIZE} {SIZE}" width="{SIZE}" height="{SIZE}" '
         f'role="img" aria-label="{title}"><title>{title}</title>'
