@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz docs notebooks install dev clean
+.PHONY: help demo test test-all durations test-lowest check lint types examples study bench speed fuzz docs notebooks install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
@@ -27,6 +27,7 @@ help:
 	@echo "make check        lint, format, types, import contract, examples in docstrings"
 	@echo "make study        run the tests that take minutes"
 	@echo "make bench        time what has a limit, beside the limits and other programs"
+	@echo "make speed        the same against an older version; an error where a ratio fell by a fifth"
 	@echo "make fuzz         try 100 000 damaged files on every reader; takes hours, and goes on where it left off"
 	@echo "make docs         build the documentation as a site, in site/"
 	@echo "make notebooks    run the notebooks of the documentation anew"
@@ -69,6 +70,10 @@ study: dev
 bench: dev
 	$(BIN)/python $(INSTALL) --group bench
 	$(BIN)/python benchmarks/limits.py
+
+# Ends with an error where a ratio fell by a fifth since the table in benchmarks/results-against.md was kept.
+speed: dev
+	$(BIN)/python benchmarks/against.py 70de556 --runs 3 --check
 
 fuzz: dev
 	$(BIN)/python $(INSTALL) --group fuzz

@@ -3,6 +3,7 @@
     python benchmarks/against.py 70de556                  all rows, some ten minutes
     python benchmarks/against.py 70de556 --only xsens     such as these only
     python benchmarks/against.py 70de556 --write          keep the table in benchmarks/results-against.md
+    python benchmarks/against.py 70de556 --check          end with 1 where a ratio fell by a fifth since it was kept
 
 The older version is checked out beside this one, and both run with the libraries of this environment. Every run is a
 process of its own; old and new take turns; CPU times (user and system, of all threads and children) are medians.
@@ -12,6 +13,7 @@ of $GNOMON_DATA take part where they are there.
 
 import argparse
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -180,6 +182,23 @@ def compare(sources: tuple[Path, Path], place: Path, runs: int, only: str) -> Ta
     return table
 
 
+KEPT = HERE / "results-against.md"
+FALLEN = 0.8
+"""Share of the kept ratio below which a row is told."""
+
+
+def fallen_rows(kept: str, measured: str) -> list[str]:
+    """Return the rows whose ratio is less than `FALLEN` of the one in the kept table, with both numbers."""
+    row = re.compile(r"^\| (?P<what>.+?) \|.*\*\*(?P<ratio>[\d.]+)\*\* \|", re.MULTILINE)
+    before = {found["what"]: float(found["ratio"]) for found in row.finditer(kept)}
+    now = {found["what"]: float(found["ratio"]) for found in row.finditer(measured)}
+    return [
+        f"{what}: {ratio:.2f}, kept {before[what]:.2f}"
+        for what, ratio in now.items()
+        if what in before and ratio < FALLEN * before[what]
+    ]
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -187,6 +206,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--only", default="", help="rows whose name holds this")
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--check", action="store_true", help="fail where a ratio fell since it was kept")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         place, older = Path(scratch), Path(scratch) / "older"
@@ -200,7 +220,9 @@ def main() -> None:
     table.note = f"Against {options.commit}; medians of {options.runs}, in turns. {machine()}"
     print(table)
     if options.write and not options.only:
-        (HERE / "results-against.md").write_text(f"# Against an older version\n\n{table}")
+        KEPT.write_text(f"# Against an older version\n\n{table}")
+    if options.check and (fallen := fallen_rows(KEPT.read_text(), str(table))):
+        sys.exit("Slower than it was:\n" + "\n".join(fallen))
 
 
 if __name__ == "__main__":
