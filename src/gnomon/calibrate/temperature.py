@@ -15,7 +15,6 @@ from ..assess.imu.temperature_verdict import temperature_findings
 from ..assess.verdict import SEVERITIES, verdict_of
 from ..errors import OptionError, RecordingError
 from ..estimate.temperature.bias_drift import (
-    HIGHEST_ORDER,
     AxisDrift,
     DriftProblem,
     DriftVariances,
@@ -32,7 +31,7 @@ from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
-from ..results.sensors import TemperatureDependence
+from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data
@@ -258,16 +257,27 @@ def _fit(recorded: RestRecordings, reference: float, tell: Progress) -> _Fit:
     def at_lag(lag_s: float) -> DriftProblem:
         return DriftProblem(warm_ups=recorded.warm_ups(lag_s), reference_degc=reference)
 
-    tell("finding the thermometer's lag")
-    lag, sigma, gain = fit_lag(at_lag, every) if most else (0.0, 0.0, 0.0)
-    if gain < _LAG_GAIN or not np.isfinite(sigma):
-        lag, sigma = 0.0, 0.0
-    problem = replace(at_lag(lag), nearby=recorded.warm_ups(lag + sigma) if sigma > 0 else None)
-    tell("finding the polynomials")
-    variances = [fit_variances(problem, axis, HIGHEST_ORDER if most else 0) for axis in every]
-    orders = {
-        triad: choose_order(problem, part, most, [variances[axis] for axis in part]) for triad, part in axes.items()
-    }
+    lag = sigma = 0.0
+    orders = dict.fromkeys(axes, HIGHEST_ORDER if most else 0)
+    # A cubic takes up a part of what a lag does: once the orders are known the lag is sharper.
+    for step in ("finding the thermometer's lag", "finding the polynomials"):
+        tell(step)
+        if most:
+            tried = [orders[triad] for triad, part in axes.items() for _ in part]
+            lag, sigma, gain = fit_lag(at_lag, every, tried)
+            if gain < _LAG_GAIN or not np.isfinite(sigma):
+                lag, sigma = 0.0, 0.0
+        problem = replace(at_lag(lag), nearby=recorded.warm_ups(lag + sigma) if sigma > 0 else None)
+        variances = [fit_variances(problem, axis, HIGHEST_ORDER if most else 0) for axis in every]
+        before, orders = (
+            orders,
+            {
+                triad: choose_order(problem, part, most, [variances[axis] for axis in part])
+                for triad, part in axes.items()
+            },
+        )
+        if not any(orders.values()) or orders == before:
+            break
     drifts = [fit_drift(problem, axis, orders[triad], variances[axis]) for triad, part in axes.items() for axis in part]
     return _Fit(
         problem=problem, axes=dict(axes), orders=orders, variances=variances, drifts=drifts, lag_s=lag,

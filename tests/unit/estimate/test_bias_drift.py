@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.estimate.temperature.bias_drift import DriftProblem, DriftVariances, WarmUp, left_out_deviations
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.simulate.temperature_scenario import TemperatureScenario
 
@@ -101,3 +102,23 @@ def test_a_thermometer_that_counts_backwards_is_named():
 
     assert "temperature-falls" in codes(-1)
     assert "temperature-falls" not in codes(1)
+
+
+def test_a_temperature_that_changes_by_rounding_alone_has_no_trend():
+    values = np.random.default_rng(0).normal(size=(40, 1))
+    variances = DriftVariances(white=50.0, walk=1e-6, turn_on=0.1, reading=0.0)
+    found = []
+    for other in (25.02, np.nextafter(25.02, 26)):
+        degc = np.where(np.arange(40) % 2, 25.02, other)
+        one = WarmUp(t_s=np.arange(40) * 5.0, degc=degc, step_k=0.0, samples=np.full(40, 50.0), values=values)
+        found.append(left_out_deviations(DriftProblem(warm_ups=[one, one], reference_degc=25.0), 0, 0, variances))
+    assert np.allclose(found[0], found[1], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_lag_is_found_beside_a_line_without_a_cubic_that_hides_it():
+    scenario = TemperatureScenario(
+        recordings=3, order=1, lag_s=60.0, step_k=0.5, rate_hz=10.0, duration_s=900.0, time_constant_s=133.0
+    )
+    result = gnomon.calibrate_temperature(simulate_temperature(scenario, 12).recordings)
+    assert abs(result.lag_s - 60.0) < 6.0

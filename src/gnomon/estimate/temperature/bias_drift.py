@@ -21,7 +21,6 @@ from scipy.stats import chi2
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.sensors import HIGHEST_ORDER
 
 _LIKELY = 1e-5
 """Probability by chance below which an order is taken up."""
@@ -42,6 +41,8 @@ _DIFFERENCES = 3
 _START = np.array([0.0, -2.0, -2.0, 3.0])
 """Where the search for variances begins, from the first guesses [log]: the noise as seen, little walk and rounding,
 and switchings-on that differ by more than the noise of a bin."""
+_STEADY_K = 1e-3
+"""Changes of the temperature that are none [K]."""
 _BRANCH = 0.1
 """Share of the time that the temperature rises, and falls, at least, for both branches to be compared."""
 
@@ -239,26 +240,29 @@ def _foretold(
     return piece.y - piece.X @ drift.coefficients, one, factor
 
 
-def fit_lag(at_lag: Callable[[float], DriftProblem], axes: Sequence[int]) -> tuple[float, float, float]:
+def fit_lag(
+    at_lag: Callable[[float], DriftProblem], axes: Sequence[int], orders: Sequence[int]
+) -> tuple[float, float, float]:
     """Return the lag of the thermometer, its standard deviation [s], and how much likelier it is than none.
 
     Parameters
     ----------
     at_lag : the problem with temperatures for a lag [s]
-    axes : by which it is found, with polynomials of the highest order
+    axes : by which it is found
+    orders : of their polynomials
     """
 
     def costs_at(lags_s: Floats, variances: Sequence[DriftVariances]) -> Floats:
-        pairs = list(zip(axes, variances, strict=True))
+        triples = list(zip(axes, orders, variances, strict=True))
         problems = [at_lag(lag_s) for lag_s in lags_s.tolist()]
         return np.array([
-            [_likelihood(_pieces(problem, axis, HIGHEST_ORDER), one, restricted=False) for axis, one in pairs]
+            [_likelihood(_pieces(problem, axis, order), one, restricted=False) for axis, order, one in triples]
             for problem in problems
         ])  # fmt: skip
 
     def variances_at(lag_s: float) -> list[DriftVariances]:
         problem = at_lag(lag_s)
-        return [fit_variances(problem, axis, HIGHEST_ORDER) for axis in axes]
+        return [fit_variances(problem, axis, order) for axis, order in zip(axes, orders, strict=True)]
 
     lags = np.concatenate([[0.0], np.geomspace(_SHORTEST_LAG_S, _LONGEST_LAG_S, 9)])
     costs = costs_at(lags, variances_at(0.0)).sum(axis=1)
@@ -301,7 +305,7 @@ def left_out_deviations(problem: DriftProblem, axis: int, order: int, variances:
     for left_out in range(len(z)):
         off, one, factor = _foretold(problem, left_out, axis, order, variances)
         trend = np.stack([np.ones(len(off)), one.degc - one.degc.mean()], axis=1)
-        trend = trend[:, trend.any(axis=0)]  # a temperature that never changes has none
+        trend = trend[:, np.abs(trend).max(axis=0) > _STEADY_K]  # a temperature that never changes has none
         information = trend.T @ cho_solve(factor, trend)
         found = np.linalg.solve(information, trend.T @ cho_solve(factor, off))
         z[left_out] = float(np.sqrt(found @ information @ found / len(found)))
