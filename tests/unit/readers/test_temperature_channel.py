@@ -124,3 +124,19 @@ def test_a_thermometer_elsewhere_is_not_the_imus(tmp_path) -> None:
     recording = read(make_bag(tmp_path, "ros2", sorted(messages, key=lambda one: one.t_ns)))
     assert recording.imus["imu0"].temperature is None
     assert any("/weather/temperature" in note for note in recording.assumptions)
+
+
+def test_the_thermometer_in_arrays_that_somebody_else_named(tmp_path) -> None:
+    arrays = {"acc_g": np.tile([0.0, 0, 1], (100, 1)), "gyro_dps": np.zeros((100, 3)), "temp_c": 25 + T[::2, None]}
+    stamps = {"t_acc_g": T, "t_gyro_dps": T, "t_temp_c": T[::2]}
+    np.savez(tmp_path / "log.npz", **arrays, **stamps)
+    recording = read(tmp_path / "log.npz")
+    found = recording.imus["imu0"].temperature
+    assert found.unit == "degC"
+    np.testing.assert_array_equal(found.values, 25 + T[::2])
+    np.testing.assert_array_equal(found.t_ns, np.rint(1e9 * T[::2]).astype(np.int64))
+    assert any("temp_c is the thermometer" in note for note in recording.assumptions)
+    np.savez(tmp_path / "holes.npz", **arrays | {"temp_c": np.full(50, np.nan)}, **stamps)
+    recording = read(tmp_path / "holes.npz")
+    assert recording.imus["imu0"].temperature is None
+    assert any("temp_c was left out" in note for note in recording.assumptions)

@@ -101,7 +101,8 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[SampleTable]]:
             names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] in wanted})
             found = {} if names else sensor_arrays(archive.files)
             if wanted.intersection(found):
-                return {"imu0": [_read_named(archive, *item, path.name, rate_hz) for item in found.items()]}
+                tables = [_read_named(archive, *item, path.name, rate_hz) for item in found.items()]
+                return {"imu0": _with_named_temperature(archive, tables, path.name)}
             if not names:
                 raise RecordingError(
                     f"{path.name}: no array named accelerometer; found {', '.join(archive.files)[:200] or 'nothing'}. "
@@ -141,6 +142,30 @@ def _read_named(
         note += f"), with the timestamps {array.stamps} in {unit} ({reason})."
     t_ns.flags.writeable = False
     return SampleTable(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
+
+
+def _with_named_temperature(archive: Mapping[str, Any], tables: list[SampleTable], where: str) -> list[SampleTable]:
+    """Return tables with the thermometer whose array and timestamps are named, "temp_c" and "t_temp_c"."""
+    named = [
+        key
+        for key in archive
+        if key.split("_", 1)[0].lower() not in _STAMPS and column_name(key).quantity == "temperature"
+    ]
+    for key in named[:1]:
+        values, stamps = np.squeeze(archive[key]), _stamps_of_columns(key, key.partition("_")[0], list(archive))
+        t_ns = tables[0].t_ns
+        if stamps is not None:
+            own = np.squeeze(archive[stamps])
+            t_ns = to_ns(own, guess_time_unit(own)[0], where)
+        try:
+            temperature, note = _temperature(values, t_ns, None, where)
+        except RecordingError as error:  # nobody says that it is the IMU's
+            return [replace(tables[0], notes=(*tables[0].notes, f"{key} was left out: {error}")), *tables[1:]]
+        if (unit := column_name(key).unit) is not None:
+            temperature, note = temperature_samples(t_ns, temperature.values, unit)
+        notes = (*tables[0].notes, f"{where}: {', '.join(named)}; {key} is the thermometer.", note)
+        tables = [replace(tables[0], temperature=temperature, notes=notes), *tables[1:]]
+    return tables
 
 
 def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float | None) -> list[SampleTable]:
