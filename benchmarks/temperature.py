@@ -138,15 +138,8 @@ def turned_errors(seed: int) -> list[float]:
     return z
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Compare biases over the temperature with PX4 and ArduPilot.")
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--healthy", type=int, default=0, help="sensors that do not change")
-    parser.add_argument("--faults", type=int, default=0, help="sensors with each of the faults of a thermometer")
-    parser.add_argument("--turned", type=int, default=0, help="sensors that are turned at three temperatures")
-    parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
-    options = parser.parse_args()
+def compared(options: argparse.Namespace) -> list[str]:
+    """Return the table of the methods."""
     rows, zs, right = [], [], 0
     for seed in range(options.first, options.first + options.seeds):
         known, z, ok = errors(seed)
@@ -156,10 +149,10 @@ def main() -> None:
         print(
             seed, " ".join(f"{name} {1e6 * value:.1f}" for name, value in known.items()), f"z {z:.2f} {ok}", flush=True
         )
-    table = np.array(rows) if rows else np.full((1, 3), np.nan)
+    table = np.array(rows)
     ratio = np.sqrt(np.mean(table**2, axis=0))
     z_rms = float(np.sqrt(np.nanmean(np.square(zs))))
-    lines = [
+    return [
         f"seeds {options.first} to {options.first + options.seeds - 1}: order right in {right} of "
         f"{options.seeds}, errors of ours {z_rms:.2f} sigma rms",
         "",
@@ -170,6 +163,18 @@ def main() -> None:
             for i, (name, one) in enumerate(zip(("gnomon", "PX4", "ArduPilot"), ratio, strict=True))
         ),
     ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Compare biases over the temperature with PX4 and ArduPilot.")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--healthy", type=int, default=0, help="sensors that do not change")
+    parser.add_argument("--faults", type=int, default=0, help="sensors with each of the faults of a thermometer")
+    parser.add_argument("--turned", type=int, default=0, help="sensors that are turned at three temperatures")
+    parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
+    options = parser.parse_args()
+    lines = compared(options) if options.seeds else []
     kept = 0
     for seed in range(options.first, options.first + options.healthy):
         rng = np.random.default_rng(seed)
