@@ -25,7 +25,7 @@ from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, Integers
 from gnomon.simulate import CamerasScenario, simulate_cameras
 from gnomon.simulate.cameras import CamerasSimulation
-from gnomon.simulate.cameras_scenario import USUAL_LENSES
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES
 
 LENS_PX, ROTATION, TRANSLATION_M = 0.25, np.radians(0.1), 5e-3  # what general use needs
 Lenses = dict[str, tuple[Camera, ...]]

@@ -21,7 +21,7 @@ import numpy as np
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import CamerasSimulation, simulate_cameras
-from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
 
 VIEWS, ALLOWED_S = 60, 3.0
 

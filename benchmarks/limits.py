@@ -38,7 +38,7 @@ from imu import DATA, HERE, Table, child, machine
 import gnomon
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.simulate.cameras import simulate_cameras
-from gnomon.simulate.cameras_scenario import CamerasScenario
+from gnomon.simulate.scenarios.cameras import CamerasScenario
 
 RUNS = 3
 

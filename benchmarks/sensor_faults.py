@@ -31,7 +31,7 @@ from gnomon.simulate import (
     simulate_turntable,
 )
 from gnomon.simulate.noise import noise_blocks
-from gnomon.simulate.scenarios import NoiseScenario
+from gnomon.simulate.scenarios.recorded import NoiseScenario
 
 Floats = NDArray[np.float64]
 _BEYOND = 4.0  # sigmas

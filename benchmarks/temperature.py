@@ -18,8 +18,8 @@ import numpy as np
 
 import gnomon
 from gnomon.recording.thermometer import temperature_course
+from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import TemperatureSimulation, simulate_temperature
-from gnomon.simulate.temperature_scenario import TemperatureScenario
 
 HERE = Path(__file__).parent
 Floats = np.ndarray

@@ -11,7 +11,7 @@ from gnomon.models.target import Target
 from gnomon.options import CameraOptions
 from gnomon.recording import Recording
 from gnomon.simulate.cameras import simulate_cameras
-from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
 
 
 def calibrated(scenario, seed=1, target=None, **options):

@@ -17,8 +17,8 @@ from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
 from gnomon.recording import Recording
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
-from gnomon.simulate.cameras_scenario import USUAL_LENSES
 from gnomon.simulate.images.board_images import rendered_cameras
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES
 
 SEEDS = 4
 

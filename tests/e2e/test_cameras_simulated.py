@@ -12,7 +12,7 @@ from gnomon.calibrate.steps.camera_lenses import CANDIDATES
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import simulate_cameras
-from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
 from support.healthy import healthy_cameras
 
 FEW = {"views": 30}

@@ -13,7 +13,7 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.cli.output_folder import owner_of
-from gnomon.report.cameras import NEXT as CAMERA_LINES
+from gnomon.report.cameras.page import NEXT as CAMERA_LINES
 from gnomon.report.page import Code
 from gnomon.report.sections import imu_use_section
 

@@ -9,8 +9,8 @@ import pytest
 import gnomon
 from gnomon.recording import TemperatureSamples
 from gnomon.simulate import Scenario, simulate
+from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
-from gnomon.simulate.temperature_scenario import TemperatureScenario
 from gnomon.writers.recording_file import save_recording
 
 SCENARIO = TemperatureScenario(recordings=3, rate_hz=10.0, duration_s=900.0, order=1, step_k=0.1)

@@ -35,8 +35,8 @@ from gnomon.readers.rig.sensor_yaml import read_sensor
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.results.calibration import Calibration, Provenance
 from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.simulate.cameras_scenario import CamerasScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
+from gnomon.simulate.scenarios.cameras import CamerasScenario
 from gnomon.writers.camera_imu_files import camera_imu_texts
 
 from .promise import Target

@@ -10,7 +10,7 @@ from gnomon.models.target import Target
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, Floats, TriadSamples
 from gnomon.simulate.camera_imu_frames import View
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 
 from .fault_recordings import (
     accelerometer,

@@ -8,9 +8,9 @@ import numpy as np
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import CameraFrames, Floats, ImuSamples, Integers, TriadSamples
 from gnomon.simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.imu import simulate_imu
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
+from gnomon.simulate.scenarios.recorded import Scenario
 
 from .faults import Fault, FaultyRecording, Spoil
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 from gnomon.errors import OptionError
 from gnomon.options import CameraImuOptions, ImuOptions
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
+from gnomon.simulate.scenarios.recorded import Scenario
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ from math import radians
 import numpy as np
 
 from gnomon.recording import Floats, TriadSamples
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.recorded import Scenario
 from gnomon.units import STANDARD_GRAVITY_M_S2
 
 from .fault_recordings import accelerometer, both, delayed, gyroscope, some, warming, with_imu

@@ -11,7 +11,7 @@ from gnomon.options import ImuOptions
 from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples
 from gnomon.results.sensors import ImuCalibration
 from gnomon.simulate.imu import simulate_imu
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.recorded import Scenario
 from gnomon.simulate.sensor import Converter, sensor_converters
 
 from .fault_recordings import seconds, some, warming

@@ -11,7 +11,7 @@ from gnomon.models.noise import ImuNoise
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, ImuSamples, TriadSamples
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.seen_board import INTRINSICS
 
 from .fault_recordings import seconds, warming

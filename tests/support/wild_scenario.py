@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.recorded import Scenario
 
 from .wild import log_uniform
 

@@ -8,7 +8,7 @@ from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from ..results.calibration import ImuCalibration
 from ..results.sensors import rotate_imu
-from ..simulate.scenarios import Scenario
+from ..simulate.scenarios.recorded import Scenario
 from ..simulate.sensor import drawn_imu
 from ..simulate.trajectory import Motions, rotated_back, rotvec_quaternions
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..recording import Floats
 from ..results.calibration import Calibration
-from .cameras_lens import field_of_view, focal_at_axis
+from .cameras.lens import field_of_view, focal_at_axis
 from .drawing.figures import AXES
 from .imu_parameters import axes_group, sigmas_of
 from .numbers import fixed_text, number_text

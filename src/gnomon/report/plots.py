@@ -25,14 +25,14 @@ def result_page(result: Result | NoiseResult | TemperatureResult) -> ReportPage:
         return temperature_page(result)
     calibration, diagnostics = result.calibration, result.diagnostics
     if isinstance(diagnostics, CameraImuDiagnostics):
-        from .camera_imu import camera_imu_page
+        from .camera_imu.page import camera_imu_page
 
         return camera_imu_page(calibration, diagnostics)
     if isinstance(diagnostics, CamerasDiagnostics):
-        from .cameras import cameras_page
+        from .cameras.page import cameras_page
 
         return cameras_page(calibration, diagnostics)
-    from .static import static_page
+    from .static.page import static_page
 
     return static_page(calibration, diagnostics)
 

@@ -7,26 +7,26 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..results.calibration import Calibration
     from .camera_imu import simulate_camera_imu
-    from .camera_imu_scenario import CameraImuScenario
     from .cameras import simulate_cameras
-    from .cameras_scenario import CamerasScenario
     from .magnetometer import simulate_magnetometer
     from .plans import CameraImuPlan, ImuPlan
     from .poses import simulate_poses
-    from .room_scenario import RoomScenario
-    from .scenarios import FieldScenario, PoseScenario, Scenario, TurntableScenario
+    from .scenarios.camera_imu import CameraImuScenario
+    from .scenarios.cameras import CamerasScenario
+    from .scenarios.recorded import FieldScenario, PoseScenario, Scenario, TurntableScenario
+    from .scenarios.room import RoomScenario
     from .turntable import simulate_turntable
 
 _HOMES = {
     "CameraImuPlan": "plans",
-    "CameraImuScenario": "camera_imu_scenario",
-    "CamerasScenario": "cameras_scenario",
-    "FieldScenario": "scenarios",
+    "CameraImuScenario": "scenarios.camera_imu",
+    "CamerasScenario": "scenarios.cameras",
+    "FieldScenario": "scenarios.recorded",
     "ImuPlan": "plans",
-    "PoseScenario": "scenarios",
-    "RoomScenario": "room_scenario",
-    "Scenario": "scenarios",
-    "TurntableScenario": "scenarios",
+    "PoseScenario": "scenarios.recorded",
+    "RoomScenario": "scenarios.room",
+    "Scenario": "scenarios.recorded",
+    "TurntableScenario": "scenarios.recorded",
 }
 
 __all__ = [
@@ -79,6 +79,6 @@ def simulate(scenario: "Scenario | None" = None, seed: int = 0) -> "tuple[Record
     'accel-x'
     """
     from .imu import simulate_imu
-    from .scenarios import Scenario
+    from .scenarios.recorded import Scenario
 
     return simulate_imu(scenario or Scenario(), seed)

@@ -23,7 +23,7 @@ from .camera_imu_rig import (
     stated_lens,
 )
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
-from .camera_imu_scenario import CameraImuScenario
+from .scenarios.camera_imu import CameraImuScenario
 from .truth import true_calibration
 
 

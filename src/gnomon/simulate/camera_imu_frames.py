@@ -9,7 +9,7 @@ from ..models.camera import Booleans, Camera
 from ..recording import CameraFrames, Floats, Integers
 from ..results.calibration import CameraCalibration
 from .camera_imu_path import CameraPath
-from .camera_imu_scenario import CameraImuScenario
+from .scenarios.camera_imu import CameraImuScenario
 
 START_NS = 1_600_000_000_000_000_000
 """First timestamp of the IMU; timestamps are of the order of real ones, which float64 cannot hold to the nanosecond."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..geometry.quaternion import Floats
 from ..geometry.so3 import skew
-from .camera_imu_scenario import CameraImuScenario, MotionName
+from .scenarios.camera_imu import CameraImuScenario, MotionName
 
 COORDINATES = ("azimuth", "elevation", "range", "roll", "yaw", "pitch", "shake_x", "shake_y", "shake_z")
 TURNS, SHAKES = (3, 4, 5), (6, 7, 8)

@@ -17,7 +17,7 @@ from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, FULL, LOWER
 from ..models.target import Target
 from ..results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
-from .camera_imu_scenario import CameraImuScenario, ImuPreset
+from .scenarios.camera_imu import CameraImuScenario, ImuPreset
 
 THESIS_NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

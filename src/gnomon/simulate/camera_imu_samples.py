@@ -13,7 +13,7 @@ from ..results.calibration import ImuCalibration
 from .camera_imu_frames import START_NS, outside_gaps
 from .camera_imu_path import CameraPath, RigidMotion
 from .camera_imu_rig import ImuTruth, earth_rate_target, gravity_target
-from .camera_imu_scenario import CameraImuScenario
+from .scenarios.camera_imu import CameraImuScenario
 from .trajectory import rotvec_quaternions
 
 

@@ -19,7 +19,7 @@ from ..results.calibration import Assessment, Calibration, CameraCalibration, Ca
 from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
-from .cameras_scenario import CamerasScenario
+from .scenarios.cameras import CamerasScenario
 from .truth import true_calibration
 
 _TILT_BETWEEN_CAMERAS = np.array([0.004, -0.012, 0.007])

@@ -9,7 +9,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
 from ..results.intervals import Booleans
-from .scenarios import Scenario
+from .scenarios.recorded import Scenario
 from .sensor import Converter, drawn_imu, sensor_converters
 from .trajectory import TOLERANCE_S, Motions, ThesisMotions, hand_motions, thesis_motions
 from .truth import true_calibration

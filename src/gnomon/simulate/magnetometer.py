@@ -17,7 +17,7 @@ from ..results.calibration import (
 )
 from ..results.sensors import rotate_imu
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
-from .scenarios import FieldScenario, Scenario
+from .scenarios.recorded import FieldScenario, Scenario
 from .sensor import Converter, drawn_imu, sensor_converters
 from .truth import true_calibration
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..recording import Floats
 from ..units import STANDARD_GRAVITY_M_S2
-from .scenarios import NoiseScenario
+from .scenarios.recorded import NoiseScenario
 
 _RATIO = 5.0
 _REACH = 10.0  # recordings

@@ -11,9 +11,9 @@ from ..results.calibration import CameraCalibration
 from .camera_imu_frames import START_NS, View
 from .camera_imu_path import CameraPath, RigidMotion, drawn_path
 from .camera_imu_rig import drawn_cameras, gravity_target, nominal_extrinsics
-from .camera_imu_scenario import CameraImuScenario
 from .plans import CameraImuPlan, ImuPlan
-from .scenarios import Scenario
+from .scenarios.camera_imu import CameraImuScenario
+from .scenarios.recorded import Scenario
 from .trajectory import hand_motions
 
 _TURNS = {"x": (1, 5), "y": (0, 4), "z": (3,)}

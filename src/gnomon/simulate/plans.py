@@ -5,7 +5,7 @@ from typing import Literal
 
 from ..errors import OptionError
 from ..options import check_ranges
-from .camera_imu_scenario import MotionName
+from .scenarios.camera_imu import MotionName
 
 PlannedMotion = MotionName | Literal["planar"]
 

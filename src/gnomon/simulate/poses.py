@@ -16,7 +16,7 @@ from ..results.calibration import (
     GyroscopeCalibration,
     ImuCalibration,
 )
-from .scenarios import PoseScenario, Scenario
+from .scenarios.recorded import PoseScenario, Scenario
 from .sensor import Converter, drawn_imu, sensor_converters
 from .truth import true_calibration
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..recording import Floats
 from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
-from .scenarios import RecordedSensor, Scenario
+from .scenarios.recorded import RecordedSensor, Scenario
 
 DEFAULT_BITS = 16
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
-from .scenarios import Scenario
+from .scenarios.recorded import Scenario
 
 AMPLITUDE_M_S2 = 2.0
 RATE_RAD_S = 1.5

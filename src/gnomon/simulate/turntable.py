@@ -11,7 +11,7 @@ from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
 from ..results.sensors import rotate_imu
 from .poses import rest_directions
-from .scenarios import PoseScenario, Scenario, TurntableScenario
+from .scenarios.recorded import PoseScenario, Scenario, TurntableScenario
 from .sensor import drawn_imu, sensor_converters
 from .truth import true_calibration
 

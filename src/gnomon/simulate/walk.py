@@ -12,7 +12,7 @@ from ..recording import Floats, ImuSamples, Integers
 from .camera_imu_path import COORDINATES, CameraPath
 from .camera_imu_rig import ImuTruth
 from .camera_imu_samples import ImuStreams, TrueTrajectory, simulated_imu
-from .camera_imu_scenario import CameraImuScenario
+from .scenarios.camera_imu import CameraImuScenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recording import Floats
-from ..simulate.scenarios import PoseScenario
+from ..simulate.scenarios.recorded import PoseScenario
 from .angrisano_trial import (
     GROUPS,
     TABLE_2,

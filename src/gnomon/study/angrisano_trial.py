@@ -21,7 +21,7 @@ from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
 from ..results.intervals import Booleans
 from ..simulate.poses import TABLE_1, PoseSimulation, simulate_poses
-from ..simulate.scenarios import PoseScenario
+from ..simulate.scenarios.recorded import PoseScenario
 
 BITS, FULL_SCALE_M_S2 = 16, 50.0
 DATASHEET = datasheet_start(BITS, FULL_SCALE_M_S2)

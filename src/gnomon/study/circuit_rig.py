@@ -17,9 +17,9 @@ from ..results.calibration import AccelerometerCalibration, Calibration, Gyrosco
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from ..simulate.camera_imu_frames import FrameStreams, View, simulated_frames
 from ..simulate.camera_imu_rig import THESIS_NOISE, ImuTruth
-from ..simulate.camera_imu_scenario import CameraImuScenario
 from ..simulate.imu import simulate_imu
-from ..simulate.scenarios import Scenario
+from ..simulate.scenarios.camera_imu import CameraImuScenario
+from ..simulate.scenarios.recorded import Scenario
 
 DATA_SHEET: Mapping[str, float] = {
     # MPU-6000, product specification 3.4: scales to 3 %, axes to 2 %, 0.1 deg/s/g. Mounted by hand after a drawing.

@@ -16,7 +16,7 @@ from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CameraImuDiagnostics
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from ..simulate.camera_imu_rig import THESIS_NOISE, earth_rate_target
-from ..simulate.camera_imu_scenario import CameraImuScenario
+from ..simulate.scenarios.camera_imu import CameraImuScenario
 from .krebs_thesis import GRAVITY, NAMES, KrebsRig, group_columns
 
 SCENARIO = CameraImuScenario(

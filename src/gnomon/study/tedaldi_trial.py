@@ -18,7 +18,7 @@ from ..recording import Floats, Recording
 from ..results.calibration import Calibration, ImuCalibration
 from ..results.intervals import StaticIntervals, interval_means
 from ..simulate.imu import TrueSignals, simulate_imu, true_signals
-from ..simulate.scenarios import Scenario
+from ..simulate.scenarios.recorded import Scenario
 
 Method = Literal["gnomon", "tedaldi2014-text", "tedaldi2014"]
 METHODS: tuple[Method, ...] = ("gnomon", "tedaldi2014-text", "tedaldi2014")

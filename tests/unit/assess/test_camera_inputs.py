@@ -10,7 +10,7 @@ import gnomon
 from gnomon.assess.cameras.camera_synchronism import JointResiduals, check_synchronism
 from gnomon.assess.cameras.camera_views import without_copies
 from gnomon.assess.checks.camera_checks import check_views
-from gnomon.simulate.cameras_scenario import CamerasScenario
+from gnomon.simulate.scenarios.cameras import CamerasScenario
 
 OPTIONS = gnomon.CameraOptions(model=("pinhole-radtan",), board="stated")
 

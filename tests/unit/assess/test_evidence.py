@@ -14,8 +14,8 @@ from gnomon.errors import OptionError
 from gnomon.models.frames import frame_rotation
 from gnomon.results.calibration import Calibration, Covariance
 from gnomon.results.sensors import ImuCalibration, rotate_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
+from gnomon.simulate.scenarios.recorded import Scenario
 
 SENSITIVITY, RATE = "imu0.accelerometer.sensitivity", "imu0.gyroscope.sensitivity"
 UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}

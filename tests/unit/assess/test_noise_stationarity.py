@@ -10,7 +10,7 @@ from gnomon.estimate.allan.high_pass import find_high_pass
 from gnomon.estimate.allan.patterns import find_pattern
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.simulate.noise import noise_blocks
-from gnomon.simulate.scenarios import NoiseScenario
+from gnomon.simulate.scenarios.recorded import NoiseScenario
 
 SCENARIO = NoiseScenario(duration_s=1500.0, rate_hz=50.0)
 N, K = SCENARIO.gyroscope_white_noise, SCENARIO.gyroscope_random_walk

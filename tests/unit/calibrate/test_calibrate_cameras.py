@@ -9,7 +9,7 @@ from gnomon.errors import OptionError
 from gnomon.options import CameraOptions
 from gnomon.results.parameters import covariance_names
 from gnomon.simulate.cameras import simulate_cameras
-from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
 
 
 @pytest.fixture(scope="module")

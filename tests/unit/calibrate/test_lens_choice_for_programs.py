@@ -9,7 +9,7 @@ from gnomon.cli import main
 from gnomon.errors import OptionError
 from gnomon.estimate.cameras.views import gathered_views
 from gnomon.models.lens_programs import PROGRAMS, models_of, read_everywhere, refit_models
-from gnomon.simulate.cameras_scenario import CamerasScenario
+from gnomon.simulate.scenarios.cameras import CamerasScenario
 
 
 @pytest.fixture(scope="module")

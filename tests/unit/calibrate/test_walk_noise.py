@@ -8,7 +8,7 @@ from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.estimate.camera_imu.walk_noise import next_walk
 from gnomon.options import CameraImuOptions
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 
 
 @pytest.mark.parametrize("found", [0.5, 1.0, 1.7, 400.0])

@@ -15,7 +15,7 @@ from gnomon.estimate.allan.model import KINDS, allan_design, estimate_covariance
 from gnomon.estimate.allan.products import product_sums
 from gnomon.recording import Recording
 from gnomon.simulate.noise import noise_blocks
-from gnomon.simulate.scenarios import NoiseScenario
+from gnomon.simulate.scenarios.recorded import NoiseScenario
 
 Q, N, B, K = range(4)
 

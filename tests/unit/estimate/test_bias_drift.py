@@ -7,8 +7,8 @@ import pytest
 
 import gnomon
 from gnomon.estimate.temperature.bias_drift import DriftProblem, DriftVariances, WarmUp, left_out_deviations
+from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
-from gnomon.simulate.temperature_scenario import TemperatureScenario
 
 
 def errors_in_sigmas(result, truth, at_degc):

@@ -7,7 +7,7 @@ from gnomon.formats.kalibr.results import LENS_NAMES
 from gnomon.models import lens_names
 from gnomon.models.distortions import DISTORTIONS
 from gnomon.models.projections import PROJECTIONS
-from gnomon.report.cameras import DISTORTION_FORMULAS, PROJECTION_FORMULAS
+from gnomon.report.cameras.page import DISTORTION_FORMULAS, PROJECTION_FORMULAS
 
 
 def missing(name, tables):

@@ -21,7 +21,7 @@ from gnomon.results.calibration import Covariance
 from gnomon.results.parameters import calibration_parameters, covariance_names
 from gnomon.results.trust import Need, UncertaintySummary
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.writers.tables import summary_table
 
 ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)

@@ -9,7 +9,7 @@ from gnomon.estimate.odometry.invariant_filter import Beginning, Sightings, esti
 from gnomon.estimate.odometry.preintegration import preintegrate_imu
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_rig import drawn_imu_truth, nominal_extrinsics
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.walk import WalkScenario, simulate_walk
 
 SHIFT_S = 0.003

@@ -28,7 +28,7 @@ from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.results.calibration import Calibration, Covariance
 from gnomon.results.parameters import calibration_parameters, covariance_names, moved_into_frame, moved_to_origin
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 
 
 def pose(seed):

@@ -12,8 +12,8 @@ from gnomon.cli.summary import held_lines
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report import write_report
-from gnomon.report.camera_imu_sections import imu_section
-from gnomon.report.camera_imu_signals import rig_motion, signal_name, telling_section
+from gnomon.report.camera_imu.sections import imu_section
+from gnomon.report.camera_imu.signals import rig_motion, signal_name, telling_section
 from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting_text, nominal_mounting
 from gnomon.report.corners import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter

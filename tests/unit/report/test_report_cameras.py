@@ -14,7 +14,7 @@ from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
 from gnomon.report import write_report
 from gnomon.report.camera_parameters import pose_numbers
-from gnomon.report.cameras_lens import (
+from gnomon.report.cameras.lens import (
     field_of_view,
     focal_at_axis,
     lens_covariance,
@@ -22,13 +22,13 @@ from gnomon.report.cameras_lens import (
     radial_curve,
     undistorted_grid,
 )
-from gnomon.report.cameras_sections import board_section
-from gnomon.report.cameras_views import epipolar_errors, views_around
+from gnomon.report.cameras.sections import board_section
+from gnomon.report.cameras.views import epipolar_errors, views_around
 from gnomon.report.corner_figures import unseen_places, view_groups
 from gnomon.results.calibration import Covariance
 from gnomon.results.camera_diagnostics import ViewPose
 from gnomon.simulate.cameras import simulate_cameras
-from gnomon.simulate.cameras_scenario import CamerasScenario
+from gnomon.simulate.scenarios.cameras import CamerasScenario
 from html_page import Page
 
 

@@ -11,7 +11,7 @@ from gnomon.models.camera import Camera
 from gnomon.readers.samples.stamps import guess_time_unit
 from gnomon.recording import TriadSamples
 from gnomon.report import write_report
-from gnomon.report.cameras_lens import projection_spread
+from gnomon.report.cameras.lens import projection_spread
 from gnomon.report.numbers import percent_text
 from html_page import Page
 from report_numbers import Shown, number, parameters_shown

@@ -11,7 +11,7 @@ from gnomon.models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from gnomon.report.page import render_page
 from gnomon.report.studies.tedaldi import tedaldi_page
 from gnomon.simulate.imu import simulate_imu, true_signals
-from gnomon.simulate.scenarios import Scenario
+from gnomon.simulate.scenarios.recorded import Scenario
 from gnomon.study import tedaldi
 from gnomon.study.tedaldi import study_tedaldi, tedaldi_trials
 from gnomon.study.tedaldi_claims import (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from ...errors import OptionError, RecordingError
 from ...models.lens_programs import check_program, refit_models
 from ...options import CameraOptions
-from ...simulate.cameras_scenario import CamerasScenario
+from ...simulate.scenarios.cameras import CamerasScenario
 from ...units import Units
 from ..command import (
     Cache,

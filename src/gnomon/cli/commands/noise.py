@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ...options import NoiseOptions
-from ...simulate.scenarios import NoiseScenario
+from ...simulate.scenarios.recorded import NoiseScenario
 from ..command import Command, Flat, Input, Report, Seed, output_option
 from ..output_folder import NOISE_FILES, default_folder, result_folder
 from ..parsing.arguments import Argument

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ...simulate.temperature_scenario import TemperatureScenario
+from ...simulate.scenarios.temperature import TemperatureScenario
 from ..command import Command, FileOption, Flat, Report, Seed, TableOptions, output_option
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument

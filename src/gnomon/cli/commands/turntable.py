@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ...options import TurntableOptions
-from ...simulate.platter_scenario import PlatterScenario
-from ...simulate.scenarios import TurntableScenario
+from ...simulate.scenarios.platter import PlatterScenario
+from ...simulate.scenarios.recorded import TurntableScenario
 from ...units import Units, parse_rate
 from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
@@ -239,7 +239,7 @@ class SimulateTurntable(Command):
 def _save_videos(command: SimulateTurntable, rates: Sequence[float], staging: Path, terminal: Terminal) -> list[str]:
     """Write a video of the platter at each speed, and return the names of the files."""
     from ...simulate.images.platter_video import simulate_platter_video
-    from ...simulate.platter_scenario import PlatterScenario
+    from ...simulate.scenarios.platter import PlatterScenario
     from ...writers.video import save_video
 
     names: list[str] = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...recording import Floats, Integers, frozen_array
 from ...recording.images import Frame, Grey, ImageStream
-from ..platter_scenario import PlatterScenario
+from ..scenarios.platter import PlatterScenario
 
 Shades = NDArray[np.float32]
 

@@ -20,7 +20,7 @@ from ...models.camera import Camera
 from ...recording import Floats
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
-from ..room_scenario import RoomScenario, Surface
+from ..scenarios.room import RoomScenario, Surface
 from .board_outlines import Singles
 from .motion_segments import MotionSegment, Pose
 from .rendering import add_noise, light_falloff, pixel_rays, usual_light

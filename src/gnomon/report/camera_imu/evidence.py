@@ -2,13 +2,11 @@
 
 import numpy as np
 
-from ..recording import Floats
-from ..results.camera_diagnostics import CameraImuDiagnostics, SignalFit
-from . import camera_imu_signals
-from .camera_imu_signals import signal_name
-from .corner_figures import draw_corner_density
-from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out, time_legends
-from .numbers import (
+from ...recording import Floats
+from ...results.camera_diagnostics import CameraImuDiagnostics, SignalFit
+from ..corner_figures import draw_corner_density
+from ..corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out, time_legends
+from ..numbers import (
     finite_rms,
     finite_values,
     fixed_text,
@@ -19,7 +17,9 @@ from .numbers import (
     quantity_text,
     readable_unit,
 )
-from .page import Figure, Legend, ReportTable, Section
+from ..page import Figure, Legend, ReportTable, Section
+from . import signals
+from .signals import signal_name
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _PREDICTED = tuple(Legend("line", axis, f"predicted {axis}") for axis in "xyz")
@@ -42,19 +42,19 @@ def fit_section(diagnostics: CameraImuDiagnostics) -> Section | None:
 
 
 def _signal_figures(name: str, fit: SignalFit, shown: str) -> tuple[Figure, Figure]:
-    section = camera_imu_signals.telling_section(fit)
+    section = signals.telling_section(fit)
     basic = () if fit.basic is None else (_BASIC,)
     reason = "the two models differ most" if basic else "the model fits worst"
     return (
         Figure(
             f"{shown} over the recording",
-            camera_imu_signals.draw_signal_overview(name, fit, section),
+            signals.draw_signal_overview(name, fit, section),
             (*_AXES, *basic, _BAND, Legend("dash", "ink", "section below")),
             _bands(fit),
         ),
         Figure(
             f"{shown}, {fixed_text(section[0], 1)} to {fixed_text(section[1], 1)} s",
-            camera_imu_signals.section_figure(name, fit, section),
+            signals.section_figure(name, fit, section),
             (Legend("band", "before", "measured"), *_PREDICTED, *basic, _BAND),
             f"The section in which {reason}: what was measured, what the trajectory and the calibration "
             "predict, and the difference.",
@@ -78,7 +78,7 @@ def _misfit(diagnostics: CameraImuDiagnostics) -> ReportTable:
     compared = any(fit.basic is not None for fit in diagnostics.signals.values())
     for name, fit in diagnostics.signals.items():
         unit = readable_unit(fit.unit)
-        model, basic = (camera_imu_signals.signal_residual(fit, p) for p in (fit.predicted, fit.basic))
+        model, basic = (signals.signal_residual(fit, p) for p in (fit.predicted, fit.basic))
         apart = np.full_like(model, np.nan) if fit.basic is None else fit.predicted - fit.basic
         for i, axis in enumerate("xyz"):
             row = [f"{signal_name(name, diagnostics.signals)} {axis}", quantity_text(finite_rms(model[:, i]), unit)]
@@ -106,7 +106,7 @@ def camera_imu_residuals_section(diagnostics: CameraImuDiagnostics, views: dict[
         blocks.append(
             Figure(
                 "Samples of the IMU",
-                camera_imu_signals.draw_normalised_residuals(diagnostics.signals),
+                signals.draw_normalised_residuals(diagnostics.signals),
                 (*_AXES, Legend("dash", "ink", "standard normal")),
                 "Measured minus predicted, over the σ that was used. Beyond 3σ lie 0.27 % of normal residuals; "
                 f"here, {shares}. Where knots are dense, the trajectory follows part of the noise, and what is left is "
@@ -124,7 +124,7 @@ def camera_imu_residuals_section(diagnostics: CameraImuDiagnostics, views: dict[
 
 
 def _beyond(fit: SignalFit, shown: str) -> str:
-    values = finite_values(camera_imu_signals.signal_residual(fit, fit.predicted)) / positive_or(fit.sigma)
+    values = finite_values(signals.signal_residual(fit, fit.predicted)) / positive_or(fit.sigma)
     share = float(np.mean(np.abs(values) > 3)) if values.size else float("nan")
     return f"{number_text(100 * share, 2)} % of the {shown.lower()}'s"
 
@@ -146,7 +146,7 @@ def camera_imu_coverage_section(diagnostics: CameraImuDiagnostics, views: dict[s
         )
     if len(diagnostics.trajectory.t_ns) > 1:
         blocks += _motion(
-            camera_imu_signals.rig_motion(diagnostics.trajectory, diagnostics.gravity_target),
+            signals.rig_motion(diagnostics.trajectory, diagnostics.gravity_target),
             before_board=diagnostics.scene is None,
         )
     return Section(
@@ -158,7 +158,7 @@ def camera_imu_coverage_section(diagnostics: CameraImuDiagnostics, views: dict[s
     )
 
 
-def _motion(motion: camera_imu_signals.RigMotion, *, before_board: bool) -> list[Figure | ReportTable]:
+def _motion(motion: signals.RigMotion, *, before_board: bool) -> list[Figure | ReportTable]:
     rows: list[tuple[str, ...]] = []
     for label, values, unit in (("Angular rate", motion.rate, "°/s"), ("Acceleration", motion.acceleration, "m/s²")):
         for measure, of in (("rms", finite_rms), ("largest", largest_magnitude)):
@@ -168,20 +168,20 @@ def _motion(motion: camera_imu_signals.RigMotion, *, before_board: bool) -> list
     return [
         Figure(
             "Axes of rotation",
-            camera_imu_signals.axes_of_rotation(motion),
+            signals.axes_of_rotation(motion),
             caption="Directions of the angular rate in the body frame, wherever the rig turned at more than a third of "
             "its rms rate. The stronger the colour, the longer it did.",
         ),
         Figure(
             "Rate and acceleration along the body axes",
-            camera_imu_signals.draw_motion_histograms(motion),
+            signals.draw_motion_histograms(motion),
             _AXES,
             "How often which value occurred; gravity is not part of the acceleration.",
         ),
         ReportTable("In numbers", ("body axis", *"xyz"), rows),
         Figure(
             "Path of the IMU",
-            camera_imu_signals.draw_imu_path(motion),
+            signals.draw_imu_path(motion),
             time_legends(motion.t_s),
             "In the frame of the target: x and y in its plane, z along its normal."
             if before_board
@@ -213,7 +213,7 @@ def scene_section(diagnostics: CameraImuDiagnostics) -> Section | None:
         (
             Figure(
                 "Map",
-                camera_imu_signals.draw_scene(diagnostics.trajectory, diagnostics.gravity_target, scene, sightings),
+                signals.draw_scene(diagnostics.trajectory, diagnostics.gravity_target, scene, sightings),
                 (Legend("dot", "before", "landmark"), Legend("dot", "accent", "seen in few images"),
                  *time_legends(_since_start(diagnostics))),
                 "Landmarks, and the path of the IMU coloured by time. Down is known from gravity; the heading is any.",
@@ -251,7 +251,7 @@ def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
     )
     figure = Figure(
         "About their means",
-        camera_imu_signals.bias_figure(diagnostics.biases),
+        signals.bias_figure(diagnostics.biases),
         (
             *_AXES,
             Legend("band", "before", "±σ, in the axis's colour"),

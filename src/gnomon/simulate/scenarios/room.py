@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from ..errors import OptionError
-from ..options import check_ranges
-from .camera_imu_scenario import CameraImuScenario, HandMotion, ImuPreset
-from .seen_board import TrueLens
+from ...errors import OptionError
+from ...options import check_ranges
+from ..seen_board import TrueLens
+from .camera_imu import CameraImuScenario, HandMotion, ImuPreset
 
 Surface = Literal["rich", "plain", "repeated"]
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..geometry.so3 import skew
-from ..models.camera import Camera
-from ..recording import Floats, Integers
-from ..results.calibration import Calibration
-from ..results.camera_diagnostics import CornerFit, ViewPose
-from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots, fit_to_scale, half_panel
-from .drawing.panel import Panel
-from .numbers import finite_values, number_text, positive_or
+from ...geometry.rotation_vector import rotation_from_rotvec
+from ...geometry.so3 import skew
+from ...models.camera import Camera
+from ...recording import Floats, Integers
+from ...results.calibration import Calibration
+from ...results.camera_diagnostics import CornerFit, ViewPose
+from ..drawing import svg
+from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots, fit_to_scale, half_panel
+from ..drawing.panel import Panel
+from ..numbers import finite_values, number_text, positive_or
 
 _MOST_DRAWN = 120
 _TELLING = 5

@@ -4,17 +4,16 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..results.calibration import Calibration, CameraImuFit
-from ..results.camera_diagnostics import CameraImuDiagnostics
-from . import camera_imu_evidence as evidence
-from . import camera_imu_sections as sections
-from .camera_images import images_section
-from .corners import corner_view
-from .estimation import parameters_section
-from .numbers import MISSING, number_text, with_sigma
-from .page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
-from .sections import FRAMES, aligned_matrix, calibration_page, gravity_text, provenance_section
-from .trust_section import trust_section
+from ...results.calibration import Calibration, CameraImuFit
+from ...results.camera_diagnostics import CameraImuDiagnostics
+from ..camera_images import images_section
+from ..corners import corner_view
+from ..estimation import parameters_section
+from ..numbers import MISSING, number_text, with_sigma
+from ..page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
+from ..sections import FRAMES, aligned_matrix, calibration_page, gravity_text, provenance_section
+from ..trust_section import trust_section
+from . import evidence, sections
 
 _MODELS = {
     "basic": "the IMU is ideal but for its biases",

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Literal
 
-from ..errors import OptionError
-from ..options import check_ranges
+from ...errors import OptionError
+from ...options import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

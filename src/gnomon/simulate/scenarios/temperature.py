@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from ..errors import OptionError
-from ..options import check_ranges
+from ...errors import OptionError
+from ...options import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

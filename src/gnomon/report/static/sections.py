@@ -6,13 +6,12 @@ from math import asin, degrees, isfinite, pi
 
 import numpy as np
 
-from ..recording import Floats
-from ..results.calibration import Calibration
-from ..results.imu_diagnostics import ImuDiagnostics, IntervalTable, RotationTable
-from ..results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
-from ..units import STANDARD_GRAVITY_M_S2
-from . import static_figures as figures
-from .numbers import (
+from ...recording import Floats
+from ...results.calibration import Calibration
+from ...results.imu_diagnostics import ImuDiagnostics, IntervalTable, RotationTable
+from ...results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
+from ...units import STANDARD_GRAVITY_M_S2
+from ..numbers import (
     MISSING,
     estimate_text,
     finite_rms,
@@ -26,7 +25,8 @@ from .numbers import (
     quantity_text,
     readable_unit,
 )
-from .page import Figure, Legend, ReportTable, Section
+from ..page import Figure, Legend, ReportTable, Section
+from . import figures
 
 COUNTED = {
     "imu": ("static interval", "static intervals"),

@@ -11,18 +11,18 @@ from math import degrees
 
 import numpy as np
 
-from ..assess.cameras.cameras_tables import CELLS
-from ..geometry.so3 import skew
-from ..models.camera import Camera
-from ..recording import Floats
-from ..results.calibration import Calibration
-from ..results.camera_diagnostics import LensTrial
-from .corner_figures import image_panels, images_height
-from .corners import CornerView
-from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
-from .drawing.panel import DASHED
-from .numbers import finite_values, highest_finite, number_text, positive_or
+from ...assess.cameras.cameras_tables import CELLS
+from ...geometry.so3 import skew
+from ...models.camera import Camera
+from ...recording import Floats
+from ...results.calibration import Calibration
+from ...results.camera_diagnostics import LensTrial
+from ..corner_figures import image_panels, images_height
+from ..corners import CornerView
+from ..drawing import svg
+from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
+from ..drawing.panel import DASHED
+from ..numbers import finite_values, highest_finite, number_text, positive_or
 
 SPREAD_COLUMNS = 30
 """Cells across the image in which the standard deviation of a projection is found."""

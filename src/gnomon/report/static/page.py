@@ -8,14 +8,14 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..options.requirements import BETWEEN_RECORDINGS, QUANTITIES
-from ..results.calibration import Calibration
-from ..results.imu_diagnostics import ImuDiagnostics
-from ..results.result import JoinedDiagnostics
-from ..results.triad_diagnostics import TriadDiagnostics
-from ..units import STANDARD_GRAVITY_M_S2
-from .imu_parameters import parameter_groups
-from .numbers import (
+from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
+from ...results.calibration import Calibration
+from ...results.imu_diagnostics import ImuDiagnostics
+from ...results.result import JoinedDiagnostics
+from ...results.triad_diagnostics import TriadDiagnostics
+from ...units import STANDARD_GRAVITY_M_S2
+from ..imu_parameters import parameter_groups
+from ..numbers import (
     MISSING,
     finite_rms,
     fixed_text,
@@ -24,10 +24,10 @@ from .numbers import (
     quantity_text,
     readable_unit,
 )
-from .page import KeyNumber, ParameterTable, ReportPage, ReportTable, Section
-from .sections import FRAMES, assumptions_section, calibration_page, gravity_text, imu_use_section, provenance_section
-from .static_sections import COUNTED, Vectors, kind_of, known_directions, largest_gap, static_sections, vectors_of
-from .trust_section import trust_section
+from ..page import KeyNumber, ParameterTable, ReportPage, ReportTable, Section
+from ..sections import FRAMES, assumptions_section, calibration_page, gravity_text, imu_use_section, provenance_section
+from ..trust_section import trust_section
+from .sections import COUNTED, Vectors, kind_of, known_directions, largest_gap, static_sections, vectors_of
 
 _MODELS = {
     "basic": "constant gyroscope bias",

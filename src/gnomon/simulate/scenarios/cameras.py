@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
-from ..errors import OptionError
-from ..options import check_ranges
-from .seen_board import RenderedImages, SeenBoard, TrueLens
+from ...errors import OptionError
+from ...options import check_ranges
+from ..seen_board import RenderedImages, SeenBoard, TrueLens
 
 AttitudeName = Literal["varied", "facing", "one"]
 

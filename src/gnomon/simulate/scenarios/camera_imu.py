@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from ..errors import OptionError
-from ..options import check_ranges
-from .seen_board import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
+from ...errors import OptionError
+from ...options import check_ranges
+from ..seen_board import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
 
 MotionName = Literal[
     "gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "around", "slow"

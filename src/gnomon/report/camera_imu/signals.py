@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.quaternion import rotation_from_quaternion
-from ..geometry.so3 import tangent_basis
-from ..recording import Floats, Integers
-from ..results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
-from .corner_figures import TIMES, time_spans
-from .drawing.figures import (
+from ...geometry.quaternion import rotation_from_quaternion
+from ...geometry.so3 import tangent_basis
+from ...recording import Floats, Integers
+from ...results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
+from ..corner_figures import TIMES, time_spans
+from ..drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     WIDTH,
@@ -25,8 +25,8 @@ from .drawing.figures import (
     lambert_projection,
     set_y_limits,
 )
-from .drawing.panel import DASHED, Panel
-from .numbers import finite_rms, finite_values, highest_finite, positive_or, readable_unit, si_prefix
+from ..drawing.panel import DASHED, Panel
+from ..numbers import finite_rms, finite_values, highest_finite, positive_or, readable_unit, si_prefix
 
 ZOOM_S = 2.0
 _FINEST = 400

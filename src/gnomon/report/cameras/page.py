@@ -5,20 +5,20 @@ from math import isfinite
 
 import numpy as np
 
-from ..models.camera import Camera
-from ..recording import Floats
-from ..results.calibration import Calibration, CamerasFit
-from ..results.camera_diagnostics import CamerasDiagnostics
-from . import cameras_sections as sections
-from .camera_images import images_section
-from .camera_parameters import pose_numbers
-from .cameras_lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
-from .corners import CornerView, corner_view
-from .estimation import noise_table, parameters_section, steps_table
-from .numbers import MISSING, finite_values, number_text, percent_text, with_sigma
-from .page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
-from .sections import calibration_page, provenance_section
-from .trust_section import trust_section
+from ...models.camera import Camera
+from ...recording import Floats
+from ...results.calibration import Calibration, CamerasFit
+from ...results.camera_diagnostics import CamerasDiagnostics
+from ..camera_images import images_section
+from ..camera_parameters import pose_numbers
+from ..corners import CornerView, corner_view
+from ..estimation import noise_table, parameters_section, steps_table
+from ..numbers import MISSING, finite_values, number_text, percent_text, with_sigma
+from ..page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
+from ..sections import calibration_page, provenance_section
+from ..trust_section import trust_section
+from . import sections
+from .lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
 
 _WHOLE = 0.97
 """Share of the image that corners reached from which it is taken for all of it."""

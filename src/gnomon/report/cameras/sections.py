@@ -4,18 +4,15 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..recording import Floats
-from ..results.calibration import Calibration, CamerasFit
-from ..results.camera_diagnostics import CamerasDiagnostics, LensTrial
-from . import cameras_lens, cameras_views
-from .camera_parameters import lens_groups, pose_groups
-from .cameras_lens import ProjectionSpread, RadialCurve
-from .cameras_views import epipolar_errors
-from .corner_figures import draw_arrows, draw_corner_coverage, unseen_places
-from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
-from .drawing.figures import WIDTH, Plot, Sheet, draw_dots
-from .drawing.rig import rig_drawing
-from .numbers import (
+from ...recording import Floats
+from ...results.calibration import Calibration, CamerasFit
+from ...results.camera_diagnostics import CamerasDiagnostics, LensTrial
+from ..camera_parameters import lens_groups, pose_groups
+from ..corner_figures import draw_arrows, draw_corner_coverage, unseen_places
+from ..corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
+from ..drawing.figures import WIDTH, Plot, Sheet, draw_dots
+from ..drawing.rig import rig_drawing
+from ..numbers import (
     MISSING,
     estimate_text,
     finite_values,
@@ -25,8 +22,11 @@ from .numbers import (
     percent_text,
     positive_or,
 )
-from .page import Block, Code, Figure, Legend, ParameterTable, ReportTable, Section
-from .sections import aligned_matrix
+from ..page import Block, Code, Figure, Legend, ParameterTable, ReportTable, Section
+from ..sections import aligned_matrix
+from . import lens, views
+from .lens import ProjectionSpread, RadialCurve
+from .views import epipolar_errors
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 
@@ -155,7 +155,7 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
     """Return from where the board was seen; None without views."""
     if not diagnostics.views or not len(diagnostics.board_points):
         return None
-    around = cameras_views.views_around(diagnostics.views, diagnostics.board_points)
+    around = views.views_around(diagnostics.views, diagnostics.board_points)
     telling = int(around.telling.sum())
     legend = [Legend("line", "ink", "board"), Legend("line", "after", "cam0 in a view")]
     if telling:
@@ -168,14 +168,14 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
         (
             Figure(
                 "Cameras around the board",
-                cameras_views.draw_views_in_space(around),
+                views.draw_views_in_space(around),
                 legend,
                 f"The {len(around.position)} views used, in the frame of the board.",
             ),
-            Figure("From above and from the side", cameras_views.draw_plans(around), legend),
+            Figure("From above and from the side", views.draw_plans(around), legend),
             Figure(
                 "Tilt of the board",
-                cameras_views.draw_attitudes(around),
+                views.draw_attitudes(around),
                 (Legend("dot", "after", "view"),) + ((Legend("dot", "accent", "most informative"),) if telling else ()),
                 "Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
                 "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides are the most "
@@ -186,7 +186,7 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
     )
 
 
-def _views_table(around: cameras_views.ViewsAround) -> ReportTable:
+def _views_table(around: views.ViewsAround) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for label, values, unit, factor in (
         ("distance from the board's middle", around.distance, "m", 1.0),
@@ -224,7 +224,7 @@ def lens_section(
 def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
     return Figure(
         "Uncertainty of the projection [px]",
-        cameras_lens.draw_ray_sigmas({name: views[name] for name in spreads}, spreads),
+        lens.draw_ray_sigmas({name: views[name] for name in spreads}, spreads),
         (
             Legend("band", "heldout", "with corners: the stronger, the less certain"),
             Legend("band", "before", "without corners, by the formula of the model alone"),
@@ -264,7 +264,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
     high, wide = (f"{fixed_text(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
     return Figure(
         f"From ray to pixel, {name}",
-        cameras_lens.draw_lens_curve(name, found),
+        lens.draw_lens_curve(name, found),
         (
             Legend("line", "after", "this lens"),
             Legend("dash", "before", "pinhole, f tan θ"),
@@ -281,7 +281,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
 def _grid_figure(calibration: Calibration, name: str) -> Figure:
     return Figure(
         f"The image of {name}, straightened",
-        cameras_lens.draw_lens_grid(name, calibration.cameras[name].camera),
+        lens.draw_lens_grid(name, calibration.cameras[name].camera),
         (Legend("line", "after", "rows and columns of pixels"), Legend("dash", "ink", "frame of the image")),
         "Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
         "point. Rays more than 68° off the axis are left out.",
@@ -307,7 +307,7 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
         blocks.append(
             Figure(
                 f"Lens models tried on {name}",
-                cameras_lens.draw_lens_trials(name, tried),
+                lens.draw_lens_trials(name, tried),
                 (Legend("dot", "after", "views held out"), Legend("ring", "before", "views used")),
             )
         )

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import Floats, Integers
-from ..results.imu_diagnostics import (
+from ...recording import Floats, Integers
+from ...results.imu_diagnostics import (
     AllanCurve,
     DetectorTrace,
     ImuDiagnostics,
@@ -12,9 +12,9 @@ from ..results.imu_diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from ..results.triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve, PoseTable
-from .drawing import svg
-from .drawing.figures import (
+from ...results.triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve, PoseTable
+from ..drawing import svg
+from ..drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     Plot,
@@ -29,8 +29,8 @@ from .drawing.figures import (
     set_y_limits,
     thin_points,
 )
-from .drawing.panel import Panel
-from .numbers import finite_values, highest_finite, largest_magnitude, magnitude_unit, readable_unit, si_prefix
+from ..drawing.panel import Panel
+from ..numbers import finite_values, highest_finite, largest_magnitude, magnitude_unit, readable_unit, si_prefix
 
 
 def draw_raw_signals(diagnostics: ImuDiagnostics) -> Plot:

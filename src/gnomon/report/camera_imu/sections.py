@@ -6,17 +6,17 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotvec_from_rotation
-from ..recording import Floats
-from ..results.calibration import Calibration
-from ..results.camera_diagnostics import CameraImuDiagnostics
-from .camera_parameters import baseline_groups, camera_groups, mounting_text, placed_imu_groups
-from .drawing.rig import origin_figure, rig_drawing
-from .estimation import noise_table, steps_table
-from .imu_parameters import gyroscope_quaternion, imu_groups, other_reading
-from .numbers import estimate_text, fixed_text, number_text
-from .page import Code, Figure, Legend, ParameterGroup, ParameterTable, ReportTable, Section
-from .sections import aligned_matrix
+from ...geometry.rotation_vector import rotvec_from_rotation
+from ...recording import Floats
+from ...results.calibration import Calibration
+from ...results.camera_diagnostics import CameraImuDiagnostics
+from ..camera_parameters import baseline_groups, camera_groups, mounting_text, placed_imu_groups
+from ..drawing.rig import origin_figure, rig_drawing
+from ..estimation import noise_table, steps_table
+from ..imu_parameters import gyroscope_quaternion, imu_groups, other_reading
+from ..numbers import estimate_text, fixed_text, number_text
+from ..page import Code, Figure, Legend, ParameterGroup, ParameterTable, ReportTable, Section
+from ..sections import aligned_matrix
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _IMU_GROUPS = 8

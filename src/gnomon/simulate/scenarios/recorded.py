@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import radians
 from typing import Literal
 
-from ..errors import OptionError
-from ..options import check_ranges
-from ..units import Units
+from ...errors import OptionError
+from ...options import check_ranges
+from ...units import Units
 
 Attitudes = Literal["angrisano18", "six", "seven", "sphere"]
 

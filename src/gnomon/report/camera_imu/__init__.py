@@ -1,0 +1,1 @@
+"""What a camera-IMU calibration puts on its report."""

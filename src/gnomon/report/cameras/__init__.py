@@ -1,0 +1,1 @@
+"""What a calibration of cameras alone puts on its report."""

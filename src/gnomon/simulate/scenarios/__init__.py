@@ -1,0 +1,1 @@
+"""What can be simulated: the options of each simulation, as values."""
