@@ -107,7 +107,7 @@ class LibraryEntry:
     @property
     def digests(self) -> frozenset[str]:
         """Hashes of the files that hold measurements, not settings."""
-        return frozenset(digest for name, digest in self.inputs if not name.lower().endswith((".yaml", ".yml")))
+        return frozenset([digest for name, digest in self.inputs if not name.lower().endswith((".yaml", ".yml"))])
 
 
 _UNKEYED = frozenset(("folder", "values", "sigmas", "covariance", "covered", "needs", "findings", "temperature_c"))
@@ -165,12 +165,16 @@ def line_table(entries: Sequence[LibraryEntry]) -> LineTable:
     for names, own in layouts.items():
         units |= dict(zip(names, own, strict=True))
     column = {name: index for index, name in enumerate(units)}
-    places = {names: np.array([column[name] for name in names], dtype=int) for names in layouts}
     values, sigmas = np.full((2, len(entries), len(units)), np.nan)
+    rows: dict[tuple[str, ...], list[int]] = {}
     for row, entry in enumerate(entries):
-        known = entry.sigmas > 0
-        at = places[entry.names][known]
-        values[row, at], sigmas[row, at] = entry.values[known], entry.sigmas[known]
+        rows.setdefault(entry.names, []).append(row)
+    for names, own in rows.items():
+        at = np.ix_(own, [column[name] for name in names])
+        estimated = np.stack([entries[row].sigmas for row in own])
+        known = estimated > 0
+        values[at] = np.where(known, np.stack([entries[row].values for row in own]), np.nan)
+        sigmas[at] = np.where(known, estimated, np.nan)
     used: list[int] = np.flatnonzero(np.isfinite(values).any(axis=0)).tolist()
     names = list(units)
     return LineTable(

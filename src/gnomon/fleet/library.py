@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+import orjson
 
 from ..errors import FormatError, OptionError, OutputError
 from ..recording import Floats
@@ -97,7 +98,8 @@ class Library:
         from sqlalchemy import select
 
         joined = CALIBRATIONS.join(DETAILS) if details else CALIBRATIONS
-        columns = [*CALIBRATIONS.c, *((DETAILS.c.covariance, DETAILS.c.needs) if details else ())]
+        columns = [CALIBRATIONS.c[name] for name in _COLUMNS]
+        columns += [DETAILS.c.covariance, DETAILS.c.needs] if details else []
         order = (CALIBRATIONS.c.measured, CALIBRATIONS.c.id)
         query = _only(select(*columns).select_from(joined), serial, kind)
         if newest is not None:
@@ -109,9 +111,8 @@ class Library:
                 row.id: (tuple(json.loads(row.names)), tuple(json.loads(row.units)))
                 for row in connection.execute(select(LAYOUTS))
             }
-            rows = connection.execution_options(yield_per=_PART).execute(query)
-            for row in rows.mappings():
-                yield _entry(row, *layouts[row["layout"]])
+            for row in connection.execution_options(yield_per=_PART).execute(query):
+                yield _entry(row, layouts)
 
     def serials(
         self, *, containing: str = "", kind: str | None = None, skip: int = 0, most: int
@@ -201,26 +202,43 @@ _PLAIN = (
 )  # fmt: skip
 
 
-def _entry(row: Mapping[Any, Any], names: tuple[str, ...], units: tuple[str, ...]) -> LibraryEntry:
-    covered, covariance = _unpacked(row.get("covariance"))
+_COLUMNS = (*_PLAIN, "temperature_c", "inputs", "findings", "layout", "values", "sigmas")
+
+
+def _entry(row: Sequence[Any], layouts: Mapping[int, tuple[tuple[str, ...], tuple[str, ...]]]) -> LibraryEntry:
+    """Return the calibration of a row of _COLUMNS and, where they were read, the details."""
+    serial, measured, station, operator, kind, verdict, use, version, folder, gravity = row[:10]
+    temperature_c, inputs, findings, layout, values, sigmas = row[10:16]
+    names, units = layouts[layout]
+    covered, covariance = _unpacked(row[16]) if len(row) > 16 else _NO_DETAILS
     return LibraryEntry(
-        **{name: row[name] for name in _PLAIN},
-        temperature_c=float("nan") if row["temperature_c"] is None else row["temperature_c"],
-        inputs=tuple((name, digest) for name, digest in json.loads(row["inputs"])),
-        findings=tuple(json.loads(row["findings"])),
-        needs=tuple((*need,) for need in json.loads(row.get("needs") or "[]")),
+        serial=serial,
+        measured=measured,
+        station=station,
+        operator=operator,
+        temperature_c=float("nan") if temperature_c is None else temperature_c,
+        kind=kind,
+        verdict=verdict,
+        use=use,
+        version=version,
+        folder=folder,
+        gravity=gravity,
+        inputs=tuple([(name, digest) for name, digest in orjson.loads(inputs)]),
+        findings=() if findings == "[]" else tuple(orjson.loads(findings)),
+        needs=tuple((*need,) for need in orjson.loads(row[17])) if len(row) > 16 else (),
         names=names,
         units=units,
-        values=np.frombuffer(row["values"]),
-        sigmas=np.frombuffer(row["sigmas"]),
+        values=np.frombuffer(values),
+        sigmas=np.frombuffer(sigmas),
         covariance=covariance,
         covered=covered,
     )
 
 
-def _unpacked(packed: bytes | None) -> tuple[tuple[int, ...], Floats]:
-    if packed is None:
-        return (), np.empty((0, 0))
+_NO_DETAILS: tuple[tuple[int, ...], Floats] = ((), np.empty((0, 0)))
+
+
+def _unpacked(packed: bytes) -> tuple[tuple[int, ...], Floats]:
     count = int(np.frombuffer(packed, "<i4", 1)[0])
     covered = tuple(np.frombuffer(packed, "<i4", count, 4).tolist())
     matrix = np.zeros((count, count))

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import date
 from math import log, pi, sqrt
+from typing import Any
 
 import numpy as np
 
 from ..assess.verdict import SEVERITIES
 from ..findings import Finding, join_names, make_finding
 from ..frozen import value_class
-from ..recording import Floats
+from ..recording import Floats, Integers
 from .entries import LibraryEntry, LineTable
 from .statistics import (
     GroupOffset,
@@ -84,7 +85,7 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += doubles
     table = table.rows(rows)
     serials = [entry.serial for entry in table.entries]
-    first = sorted({serial: index for index, serial in reversed(list(enumerate(serials)))}.values())
+    first = sorted(dict(zip(reversed(serials), range(len(serials) - 1, -1, -1), strict=True)).values())
     values = table.values.copy()
     found += _other_gravity(table, values)
     found += _wrong_units(table, values)
@@ -133,6 +134,9 @@ def _without_doubles(entries: Sequence[LibraryEntry]) -> tuple[list[int], list[F
         of.setdefault(entry.digests or entry.values.tobytes(), []).append(index)
     kept, found = list[int](), list[Finding]()
     for rows in of.values():
+        if len(rows) == 1:
+            kept.append(rows[0])
+            continue
         serials = list(dict.fromkeys(entries[row].serial for row in rows))
         kept.append(rows[-1] if len(serials) == 1 else rows[0])
         if len(serials) > 1:
@@ -207,15 +211,16 @@ def _station_offsets(table: LineTable, first: Sequence[int]) -> list[tuple[int, 
     names = list(dict.fromkeys(stations))
     limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
-    pairs = _repeats(table.entries)
+    pairs, labels = _repeats(table.entries), np.array(stations)
+    of_first = [stations[row] for row in first]
     for _ in names[1:]:
         offsets: dict[str, dict[int, GroupOffset]] = {}
         for k in range(len(table.names)):
             y, variances = _weighted(table, first, k)
-            for offset in group_offsets(y, variances, [stations[row] for row in first]):
+            for offset in group_offsets(y, variances, of_first):
                 if offset.count >= _FEWEST:
                     offsets.setdefault(offset.group, {})[k] = offset
-            for offset in _paired_offsets(table, pairs, k):
+            for offset in _paired_offsets(table, pairs, labels, k):
                 of = offsets.setdefault(offset.group, {})
                 of[k] = max(of.get(k, offset), offset, key=lambda one: abs(one.z))
         every = [(k, one) for of in offsets.values() for k, one in of.items()]
@@ -230,19 +235,18 @@ def _station_offsets(table: LineTable, first: Sequence[int]) -> list[tuple[int, 
     return found
 
 
-def _paired_offsets(table: LineTable, pairs: Sequence[tuple[int, int]], k: int) -> Iterator[GroupOffset]:
+def _paired_offsets(table: LineTable, pairs: Integers, stations: np.ndarray[Any, Any], k: int) -> Iterator[GroupOffset]:
     """Yield how far each station is off by devices that it and another one measured; sigmas stand for Student's t."""
     from scipy.special import ndtri, stdtr
 
     if len(pairs) < _FEWEST:
         return
-    before, after = np.array(pairs).T
+    before, after = pairs.T
     steps = table.values[after, k] - table.values[before, k]
     steps -= np.nanmedian(steps) if np.isfinite(steps).any() else 0.0  # what changed for all stations
     sigmas = np.hypot(table.sigmas[after, k], table.sigmas[before, k])
-    for station in dict.fromkeys(entry.station for entry in table.entries):
-        at = np.array([[table.entries[row].station == station for row in pair] for pair in pairs], dtype=float)
-        sign = at[:, 1] - at[:, 0]
+    for station in dict.fromkeys(stations.tolist()):
+        sign = (stations[after] == station).astype(float) - (stations[before] == station)
         rows = np.flatnonzero(sign)
         if len(rows) < _FEWEST:
             continue
@@ -252,15 +256,15 @@ def _paired_offsets(table: LineTable, pairs: Sequence[tuple[int, int]], k: int) 
             yield GroupOffset(group=station, offset=known.mean, sigma=abs(known.mean) / max(z, 1e-9), count=known.count)
 
 
-def _repeats(entries: Sequence[LibraryEntry]) -> list[tuple[int, int]]:
-    """Return the rows of each two results of a device that follow each other."""
+def _repeats(entries: Sequence[LibraryEntry]) -> Integers:
+    """Return the rows (p, 2) of each two results of a device that follow each other."""
     last: dict[str, int] = {}
     pairs: list[tuple[int, int]] = []
     for row, entry in enumerate(entries):
         if entry.serial in last:
             pairs.append((last[entry.serial], row))
         last[entry.serial] = row
-    return pairs
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _changes_in_time(table: LineTable, first: Sequence[int]) -> list[tuple[int, TimeChange]]:
@@ -331,7 +335,7 @@ def _changed_devices(table: LineTable) -> tuple[Floats, int, list[Finding]]:
     pairs = _repeats(table.entries)
     if len(pairs) < _FEWEST:
         return np.full(len(table.names), np.nan), len(pairs), []
-    before, after = np.array(pairs).T
+    before, after = pairs.T
     steps = table.values[after] - table.values[before]
     variances = table.sigmas[after] ** 2 + table.sigmas[before] ** 2
     limit = normal_limit(CHANCE / steps.size)
@@ -340,7 +344,7 @@ def _changed_devices(table: LineTable) -> tuple[Floats, int, list[Finding]]:
     z = np.stack([one.z for one in known], axis=1)
     size = np.nan_to_num(np.abs(z))
     moved = np.flatnonzero(size.max(axis=1) > limit).tolist()
-    confused = {row: _looks_like(table, pairs[row], spread2) for row in moved}
+    confused = {row: _looks_like(table, int(after[row]), spread2) for row in moved}
     found = list(_confused(table, pairs, {row: other for row, other in confused.items() if other}))
     for row in sorted(moved, key=lambda row: -size[row].max())[:_MOST_NAMED]:
         if confused[row]:
@@ -361,12 +365,11 @@ def _changed_devices(table: LineTable) -> tuple[Floats, int, list[Finding]]:
     return np.sqrt(spread2 / 2), len(pairs), found
 
 
-def _looks_like(table: LineTable, pair: tuple[int, int], spread2: Floats) -> str:
+def _looks_like(table: LineTable, row: int, spread2: Floats) -> str:
     """Return the serial number that a changed device has become, "" where it is like no other one.
 
     Distances are mean squares of all scalars over their variances, 1 for the same device.
     """
-    _, row = pair
     variances = table.sigmas**2 + table.sigmas[row] ** 2 + spread2
     with np.errstate(invalid="ignore"):
         squares = np.square(table.values - table.values[row]) / variances
@@ -379,7 +382,7 @@ def _looks_like(table: LineTable, pair: tuple[int, int], spread2: Floats) -> str
     return table.entries[near].serial if other[near] and distance[near] < reach else ""
 
 
-def _confused(table: LineTable, pairs: Sequence[tuple[int, int]], of: dict[int, str]) -> Iterator[Finding]:
+def _confused(table: LineTable, pairs: Integers, of: dict[int, str]) -> Iterator[Finding]:
     own = {table.entries[pairs[row][1]].serial: other for row, other in of.items()}
     when = {table.entries[pairs[row][1]].serial: table.entries[pairs[row][1]].measured for row in of}
     for serial, other in own.items():
