@@ -27,7 +27,8 @@ def mapped(scenario, seed=5):
     decoded = [frame.decode() for frame in pictures]  # once: they are asked for four times
     kept = [replace(frame, decode=lambda image=image: image) for frame, image in zip(pictures, decoded, strict=True)]
     stream = replace(stream, frames=lambda _: iter(kept))
-    frames, target, findings = map_landmarks("cam0", stream, CameraInput(camera=stream.camera), samples, lambda _: None)
+    unstated = CameraInput(camera=replace(stream.camera, line_delay_s=0.0))
+    frames, target, findings = map_landmarks("cam0", stream, unstated, samples, lambda _: None)
     return simulation, Recording(imus={"imu0": samples}, cameras={"cam0": frames}, findings=findings), target
 
 
@@ -48,6 +49,18 @@ def test_a_room_calibrates_as_a_board_does():
     shift = abs(found.time_shift_cam_imu - truth.time_shift_cam_imu)
     assert shift < 4 * sigma["cam0.time_shift_cam_imu"] < 4e-4
     assert "scene-size" in {finding.code for finding in calibration.assessment.findings}
+
+
+@pytest.mark.long
+def test_a_rolling_shutter_that_nobody_stated_is_found_by_the_landmarks():
+    simulation, recording, target = mapped(replace(SMALL, line_delay_s=4e-5))
+    calibration = gnomon.calibrate_camera_imu(recording, target).calibration
+    (told,) = [finding for finding in calibration.assessment.findings if finding.code == "rolling-shutter"]
+    assert told.subject == "cam0.line_delay"
+    found = calibration.cameras["cam0"]
+    assert found.camera.line_delay_s == pytest.approx(4e-5, abs=4 * calibration.sigma("cam0.line_delay"))
+    shift = found.time_shift_cam_imu - simulation.truth.cameras["cam0"].time_shift_cam_imu
+    assert abs(shift) < 4 * calibration.sigma("cam0.time_shift_cam_imu") < 4e-4
 
 
 def test_a_rig_at_rest_is_refused():

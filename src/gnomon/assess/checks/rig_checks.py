@@ -146,7 +146,7 @@ def check_look(
     shift = alignment.time_shift_s
     certain = poses.scatter_px < _SCATTERED * float(np.nanmedian(poses.scatter_px))
     certain &= np.diff(poses.exposures.start) >= _CORNERS
-    findings = [] if camera is None or target.kind == "landmarks" else check_lens(name, poses, camera, target, certain)
+    findings = [] if camera is None else check_lens(name, poses, camera, target, certain)
     poses = poses.where(certain)
     gyroscope = gyroscope_axes(poses, stream, shift)
     if gyroscope is None:

@@ -65,9 +65,13 @@ def check_lens(
 ) -> list[Finding]:
     """Return findings on the lens and the board of one camera, by its corners alone.
 
+    Landmarks, which were mapped with the stated lens, tell of the shutter alone.
+
     Codes: tag-spacing, rolling-shutter, distortion.
     """
     fit = lens_fit(poses, camera, target, certain)
+    if fit is not None and target.kind == "landmarks":
+        return _shutter(name, fit, camera)
     return [] if fit is None else [*_tag_spacing(name, fit, target), *_shutter(name, fit, camera), *_lens(name, fit)]
 
 
