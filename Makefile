@@ -73,6 +73,7 @@ bench: dev
 
 # Ends with an error where a ratio fell by a fifth since the table in benchmarks/results-against.md was kept.
 speed: dev
+	$(BIN)/python $(INSTALL) --group bench
 	$(BIN)/python benchmarks/against.py 70de556 --runs 3 --check
 
 fuzz: dev
