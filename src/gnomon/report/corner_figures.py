@@ -7,7 +7,7 @@ import numpy as np
 from ..assess.cameras.cameras_tables import NOT_CHOSEN
 from ..recording import Floats
 from ..results.camera_diagnostics import CornerFit
-from .corners import CornerView, field_magnification
+from .corner_view import CornerView, field_magnification
 from .drawing import svg
 from .drawing.figures import (
     RIGHT,

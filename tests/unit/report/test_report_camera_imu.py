@@ -15,7 +15,7 @@ from gnomon.report import write_report
 from gnomon.report.camera_imu.sections import imu_section
 from gnomon.report.camera_imu.signals import rig_motion, signal_name, telling_section
 from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting_text, nominal_mounting
-from gnomon.report.corners import corner_view, field_magnification
+from gnomon.report.corner_view import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter
 from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
 from gnomon.results.calibration import Covariance

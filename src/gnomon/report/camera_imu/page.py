@@ -7,7 +7,7 @@ import numpy as np
 from ...results.calibration import Calibration, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics
 from ..camera_images import images_section
-from ..corners import corner_view
+from ..corner_view import corner_view
 from ..estimation import parameters_section
 from ..numbers import MISSING, number_text, with_sigma
 from ..page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding

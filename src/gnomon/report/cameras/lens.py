@@ -18,7 +18,7 @@ from ...recording import Floats
 from ...results.calibration import Calibration
 from ...results.camera_diagnostics import LensTrial
 from ..corner_figures import image_panels, images_height
-from ..corners import CornerView
+from ..corner_view import CornerView
 from ..drawing import svg
 from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
 from ..drawing.panel import DASHED

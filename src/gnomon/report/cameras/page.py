@@ -11,7 +11,7 @@ from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics
 from ..camera_images import images_section
 from ..camera_parameters import pose_numbers
-from ..corners import CornerView, corner_view
+from ..corner_view import CornerView, corner_view
 from ..estimation import noise_table, parameters_section, steps_table
 from ..numbers import MISSING, finite_values, number_text, percent_text, with_sigma
 from ..page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding

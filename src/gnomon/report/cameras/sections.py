@@ -9,7 +9,8 @@ from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, LensTrial
 from ..camera_parameters import lens_groups, pose_groups
 from ..corner_figures import draw_arrows, draw_corner_coverage, unseen_places
-from ..corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
+from ..corner_view import CornerView
+from ..corners import corner_scatter, field_figure, frames_figure, frames_left_out
 from ..drawing.figures import WIDTH, Plot, Sheet, draw_dots
 from ..drawing.rig import rig_drawing
 from ..numbers import (
