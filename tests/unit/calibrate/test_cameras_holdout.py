@@ -7,8 +7,8 @@ import pytest
 
 from board_views import BOARD, lens, pose, seen
 from gnomon.estimate.cameras.first_rig import posed_rig
-from gnomon.estimate.cameras.holdout import held_out_residuals, held_out_rms, merge_corners
-from gnomon.estimate.cameras.information import chosen_views, information_of_views
+from gnomon.estimate.cameras.holdout import held_out_residuals, merge_corners
+from gnomon.estimate.cameras.information import chosen_views
 from gnomon.estimate.cameras.rig import SeenCorners
 from gnomon.estimate.cameras.solution import solve_rig
 from gnomon.estimate.cameras.views import gathered_views
@@ -32,21 +32,8 @@ def test_views_at_the_true_rig_scatter_as_their_noise(views) -> None:
     found = held_out_residuals(views, rig)
     for seen_corners in found.values():
         freedom = 1 - 6 * len(views) / sum(2 * len(one.point) for one in found.values())
-        assert held_out_rms({"": seen_corners})[""].rms_px == pytest.approx(0.2 * np.sqrt(freedom), rel=0.05)
-
-
-def test_a_wrong_lens_is_worse_on_views_that_were_held_out(views) -> None:
-    half = np.arange(len(views)) % 2 == 0
-    true = posed_rig(views, PAIR, APART)
-    wrong = {**PAIR, "cam1": PAIR["cam1"].with_parameters(PAIR["cam1"].parameters * [1.0, 1.02, 1, 1, 1, 1])}
-    found = held_out_rms(
-        {
-            "true": held_out_residuals(views.where(~half), true)["cam1"],
-            "wrong": held_out_residuals(views.where(~half), replace(true, cameras=wrong))["cam1"],
-        }
-    )
-    assert found["wrong"].rms_px > 1.2 * found["true"].rms_px
-    assert found["wrong"].squares.sum() > found["true"].squares.sum()
+        rms_px = np.sqrt(np.mean(seen_corners.residual**2))
+        assert rms_px == pytest.approx(0.2 * np.sqrt(freedom), rel=0.05)
 
 
 def _corners(distance: np.ndarray) -> SeenCorners:
@@ -62,40 +49,9 @@ def _corners(distance: np.ndarray) -> SeenCorners:
     )
 
 
-def test_a_corner_that_is_wrong_by_every_model_counts_for_none_and_by_one_model_in_full() -> None:
-    good = np.full(40, 0.2)
-    first, second = good.copy(), good.copy()
-    first[3] = second[3] = 30.0
-    second[7] = 10.0
-    found = held_out_rms({"first": _corners(first), "second": _corners(second)})
-    assert found["first"].outliers == found["second"].outliers == pytest.approx(1 / 40)
-    assert found["first"].rms_px == pytest.approx(np.sqrt(39 * 0.04 / 78))
-    assert found["second"].rms_px == pytest.approx(np.sqrt((38 * 0.04 + 100) / 78))
-    assert found["first"].corners.tolist() == [19, 20]
-
-
-def test_a_corner_that_the_lens_cannot_image_counts_as_far_as_the_worst() -> None:
-    first, second = np.full(20, 0.2), np.full(20, 0.2)
-    second[4], second[5] = np.nan, 3.0
-    found = held_out_rms({"first": _corners(first), "second": _corners(second)})
-    assert found["second"].lost == pytest.approx(1 / 20)
-    assert found["second"].rms_px == pytest.approx(np.sqrt((18 * 0.04 + 2 * 9) / 40))
-    assert found["first"].lost == 0
-
-
 def test_parts_are_counted_on() -> None:
     one = _corners(np.full(4, 0.1))
     assert merge_corners([one, one]).view.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-
-
-def test_information_of_a_view_is_what_the_others_lack(solution) -> None:
-    sums = solution.sums
-    scale = 1 / np.sqrt(np.diag(sums.total))
-    whole = np.linalg.slogdet(sums.total * scale * scale[:, None])[1]
-    nats = information_of_views(sums)
-    for view in (0, 7, 31):
-        rest = np.linalg.slogdet((sums.total - sums.information[view]) * scale * scale[:, None])[1]
-        assert nats[view] == pytest.approx((whole - rest) / 2, rel=1e-6)
 
 
 def test_greedy_choice_takes_what_adds_most(views, solution) -> None:

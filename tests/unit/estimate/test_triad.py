@@ -259,21 +259,6 @@ def test_many_noisy_samples_agree_on_the_right_scale():
     assert abs(fit.extra_sigma * 550 - 540) < 20
 
 
-def test_another_calibration_is_evidence_like_its_poses():
-    rng = np.random.default_rng(10)
-    first, second = eighteen(rng), eighteen(rng)
-    both = TriadPoses.of(np.concatenate([first.measured, second.measured]), GRAVITY, variance=2.25)
-    together = fit_triad(both)
-    before = fit_triad(first)
-    mean = np.concatenate([before.sensitivity.ravel(), before.bias, np.zeros(9)])
-    prior = TriadPrior.from_covariance(mean, before.covariance)
-    after = fit_triad(second, prior=prior)
-    np.testing.assert_allclose(errors(after), errors(together), atol=0.05 * together.sigma.max())
-    np.testing.assert_allclose(after.sigma, together.sigma, rtol=0.02)
-    few = TriadPoses.of(second.measured[:4], GRAVITY, variance=2.25)
-    assert (fit_triad(few, prior=prior).sigma <= before.sigma * (1 + 1e-6)).all()
-
-
 def test_a_prior_can_say_which_body_frame_is_meant():
     turn = rotation_from_rotvec(np.array([0.1, -0.2, 0.3]))
     prior = TriadPrior.of(np.concatenate([(SENSITIVITY @ turn).ravel(), np.full(12, np.nan)]), 5.0)

@@ -66,16 +66,6 @@ def sums_at(views: RigViews, rig: CameraRig) -> ClusterSums:
     )
 
 
-def information_of_views(sums: ClusterSums) -> Floats:
-    """Return what each view adds to what all others know, (v,) [nats]."""
-    total = sums.total
-    scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-    inverse = np.linalg.inv(total * scale[:, None] * scale)
-    shares = inverse @ (sums.information * scale[:, None] * scale)
-    _, logs = np.linalg.slogdet(np.eye(len(total)) - shares)
-    return np.asarray(-0.5 * logs, dtype=np.float64)
-
-
 def _greedy(sums: ClusterSums, most: int | None) -> ChosenViews:
     """Return the greedy choice; gains are looked at again only for views that may still be best."""
     total = sums.total

@@ -6,12 +6,10 @@ import numpy as np
 
 from ...models.camera import Camera
 from ...recording import Floats
-from .rig import RigSolution
 
 _ORDER = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "p1": 1, "p2": 1}  # power of the radius beside the radius itself
 _SHAPE_SIGMA = 1.0  # of xi, alpha, beta and w
 _MIDDLE_SIGMA = 0.5  # of the principal point, over the width of the image
-_OPEN = 0.2  # of the prior's standard deviation, from which on a parameter is held by it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,10 +52,3 @@ def image_wide_prior(camera: Camera, pixels: Floats) -> LensPrior:
         else:
             sigma.append(_SHAPE_SIGMA)
     return LensPrior(mean=mean, sigma=np.array(sigma))
-
-
-def undetermined_parameters(solution: RigSolution) -> tuple[str, ...]:
-    """Return the names of parameters that the views leave about as open as any lens or board is."""
-    prior = np.diag(solution.sums.prior_information)
-    held = prior * np.diag(solution.ordinary) > _OPEN**2
-    return tuple(name for name, one in zip(solution.names, held, strict=True) if one)

@@ -157,23 +157,3 @@ class TriadPrior:
         known = np.isfinite(values) & np.isfinite(sigmas) & ~held
         precision = np.where(known, 1 / np.where(known, sigmas, 1.0) ** 2, 0.0)
         return cls(mean=np.where(np.isfinite(values), values, 0.0), precision=np.diag(precision), fixed=held)
-
-    @classmethod
-    def from_covariance(cls, mean: ArrayLike, covariance: ArrayLike) -> Self:
-        """Return the prior that another calibration is.
-
-        Entries of zero variance, such as those that a body frame makes zero, are held fixed.
-
-        Parameters
-        ----------
-        mean : (21,)
-        covariance : (21, 21)
-        """
-        given = np.asarray(covariance, dtype=np.float64)
-        sigma = np.sqrt(np.diag(given))
-        held = sigma == 0
-        size = np.where(held, 1.0, sigma)
-        correlation = given / np.outer(size, size) + np.diag(held.astype(np.float64))
-        inverse = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True) / np.outer(size, size)
-        inverse[held] = inverse[:, held] = 0.0
-        return cls(mean=np.asarray(mean, dtype=np.float64), precision=inverse, fixed=held)

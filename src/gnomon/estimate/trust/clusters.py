@@ -80,12 +80,6 @@ class ClusterSums:
         )
 
 
-def in_clusters(t_s: Floats, length_s: float, phase: float = 0.0) -> Integers:
-    """Return the number of the cluster of each instant (c,); `phase`, 0 to 1, shifts their borders by that share."""
-    number = np.floor((t_s - t_s[0]) / length_s + phase).astype(np.int64)
-    return number - number[0]
-
-
 def leave_clusters_out(sums: ClusterSums) -> Floats:
     """Return how the estimate moves when each cluster is left out, (c, p)."""
     rest = sums.total - sums.information
