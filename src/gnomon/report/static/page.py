@@ -4,11 +4,8 @@ There is one list of sections; a page has those for which the result holds somet
 """
 
 from collections.abc import Iterator
-from math import degrees, isfinite
+from math import degrees
 
-import numpy as np
-
-from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...results.calibration import Calibration
 from ...results.imu_diagnostics import ImuDiagnostics
 from ...results.result import JoinedDiagnostics
@@ -16,18 +13,17 @@ from ...results.triad_diagnostics import TriadDiagnostics
 from ...units import STANDARD_GRAVITY_M_S2
 from ..imu_parameters import parameter_groups
 from ..numbers import (
-    MISSING,
-    finite_rms,
     fixed_text,
     magnitude_text,
     number_text,
     quantity_text,
-    readable_unit,
 )
-from ..page import KeyNumber, ParameterTable, ReportPage, ReportTable, Section
+from ..page import KeyNumber, ParameterTable, ReportPage, Section
 from ..sections import FRAMES, assumptions_section, calibration_page, gravity_text, imu_use_section, provenance_section
 from ..trust_section import trust_section
-from .sections import COUNTED, Vectors, kind_of, known_directions, largest_gap, static_sections, vectors_of
+from .joined import joined_numbers, joined_sections
+from .sections import known_directions, largest_gap, static_sections
+from .vectors import COUNTED, Vectors, kind_of, vectors_of
 
 _MODELS = {
     "basic": "constant gyroscope bias",
@@ -42,8 +38,8 @@ def static_page(
 ) -> ReportPage:
     """Return the page of a calibration of one sensor."""
     if isinstance(diagnostics, JoinedDiagnostics):
-        title, trust, numbers = "IMU calibration from several recordings", None, _joined_numbers(calibration)
-        before, after = _joined_sections(diagnostics), ()
+        title, trust, numbers = "IMU calibration from several recordings", None, joined_numbers(calibration)
+        before, after = joined_sections(diagnostics), ()
         lead = (
             "Means over the recordings. σ is the standard deviation of the sensor on another occasion about the mean: "
             "the scatter between the recordings is in it. Bars show the estimate, whiskers ±2σ."
@@ -187,100 +183,3 @@ def _assumptions(
             )
         if calibration.assessment.model == "basic":
             yield "The bias of the gyroscope does not depend on specific force."
-
-
-def _joined_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
-    assessment = calibration.assessment
-    between = {name: assessment.trust.between.get(name, 0.0) for name in ("gyroscope_bias", "accelerometer_bias")}
-    unseen = quantity_text(assessment.holdout.accelerometer_rms, "m/s²")
-    return (
-        KeyNumber("Recordings", str(assessment.trust.recordings), "each calibrated for itself, then joined"),
-        *(
-            KeyNumber(
-                f"Turn-on {QUANTITIES[name].words}",
-                f"± {_amount(name, value)}",
-                "standard deviation from recording to recording",
-            )
-            for name, value in between.items()
-            if value > 0
-        ),
-        KeyNumber("Accelerometer hold-out error", unseen, "rms of |f| − g in intervals left out of the fits"),
-        KeyNumber("Gravity", gravity_text(calibration.gravity), calibration.gravity.source),
-        KeyNumber("Body frame", calibration.frame, FRAMES.get(calibration.frame, "")),
-    )
-
-
-def _amount(name: str, value: float) -> str:
-    unit = QUANTITIES[name]
-    return f"{number_text(value / unit.size, 2)}\u00a0{readable_unit(unit.unit)}"
-
-
-def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
-    """Return how much the sensor changes from recording to recording, and each recording."""
-    recordings = diagnostics.recordings
-    quantities = np.array(diagnostics.quantity)
-    within = np.sqrt(np.mean([one.sigma**2 for one in recordings], axis=0))
-    distance = np.array([one.z for one in recordings])
-    rows: list[tuple[str, ...]] = []
-    for name in dict.fromkeys(diagnostics.quantity):
-        at = np.flatnonzero((quantities == name) & (diagnostics.scatter > 0))
-        if len(at):
-            sizes = (
-                float(diagnostics.scatter[at].max()),
-                finite_rms(within[at]),
-                finite_rms(diagnostics.mean_sigma[at]),
-            )
-            amounts = (_amount(name, size) for size in (*sizes, BETWEEN_RECORDINGS[name]))
-            rows.append((QUANTITIES[name].words, *amounts, number_text(finite_rms(distance[:, at]), 2)))
-    scatter = ReportTable(
-        "Scatter between recordings (σ)",
-        ("quantity", "between recordings", "within one", "of the mean", "usual", "z rms, one left out"),
-        rows,
-        "Within one: rms sigma that a single recording states. Usual: of consumer sensors; "
-        "with few recordings the estimate leans on it. z rms: distance of each recording from what the others "
-        "foretell, over its standard deviation; 1 is honest, and with two recordings there is none.",
-    )
-    each = [
-        (
-            one.name,
-            one.verdict,
-            str(one.intervals),
-            str(one.rotations),
-            quantity_text(one.accelerometer_rms, "m/s²"),
-            f"{number_text(degrees(one.rotation_rms), 2)}°" if isfinite(one.rotation_rms) else MISSING,
-        )
-        for one in recordings
-    ]
-    off = [(one.values - diagnostics.mean) / np.where(one.sigma > 0, one.sigma, np.nan) for one in recordings]
-    deviations = [
-        (diagnostics.names[i].removeprefix("imu0."), *(number_text(float(z[i]), 2) for z in off))
-        for i in np.flatnonzero(diagnostics.scatter > 0).tolist()
-    ]
-    return (
-        Section(
-            "between",
-            "What changes between recordings",
-            "What a sensor itself changes between two recordings no single recording can tell: its turn-on bias, and "
-            "what temperature and mounting do.",
-            (scatter,),
-        ),
-        Section(
-            "recordings",
-            "Recordings",
-            "Each was calibrated for itself; gnomon imu with one of them alone makes its full report.",
-            (
-                ReportTable(
-                    "One by one",
-                    ("recording", "verdict", "intervals", "rotations", "accelerometer hold-out", "gyroscope hold-out"),
-                    each,
-                ),
-                ReportTable(
-                    "Parameters, recording minus mean, in σ of that recording",
-                    ("parameter", *(one.name for one in recordings)),
-                    deviations,
-                    "Large numbers are what the sensor changed. They are part of the published σ.",
-                    dense=True,
-                ),
-            ),
-        ),
-    )
