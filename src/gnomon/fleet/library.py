@@ -42,13 +42,18 @@ class Library:
     OptionError
         If SQLAlchemy is missing, or the database cannot be reached.
     FormatError
-        If it is no library, or a newer gnomon's.
+        If it is no library, a newer gnomon's, or an older one's and must not be changed.
     """
 
     def __init__(self, place: str, *, create: bool = False, read_only: bool = False) -> None:
         self._engine = _connected(place, create=create, read_only=read_only)
         with self._engine.connect() as connection:
-            outdated = needs_migration(connection, place)
+            outdated = needs_migration(connection, without_password(place))
+        if outdated and read_only:
+            raise FormatError(
+                f"{without_password(place)}: this library is of an older gnomon, and is opened for reading alone. "
+                f"Bring it up to date: gnomon library list --library {without_password(place)}"
+            )
         if outdated:
             with self._writing() as connection:
                 migrate_schema(connection)

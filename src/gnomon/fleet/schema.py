@@ -42,7 +42,7 @@ CALIBRATIONS = Table(
     Column("values", LargeBinary, nullable=False),
     Column("sigmas", LargeBinary, nullable=False),
     Index("by_serial", "serial", "measured"),
-    Index("by_date", "measured", "id"),
+    BY_DATE := Index("by_date", "measured", "id"),
 )
 DETAILS = Table(
     "details",
@@ -60,7 +60,11 @@ def _make_tables(connection: "Connection") -> None:
     _META.create_all(connection)
 
 
-MIGRATIONS: Sequence[Callable[["Connection"], None]] = (_make_tables,)
+def _index_dates(connection: "Connection") -> None:
+    BY_DATE.create(connection, checkfirst=True)  # a new library has it from its first step
+
+
+MIGRATIONS: Sequence[Callable[["Connection"], None]] = (_make_tables, _index_dates)
 """Step k makes version k + 1 of version k; a library states the version that it has."""
 
 

@@ -70,8 +70,24 @@ def test_an_older_library_is_brought_up_to_date_and_a_newer_one_refused(place, m
             assert [entry.serial for entry in library.entries()] == ["SN1"]
     columns = [row[1] for row in sqlite3.connect(place).execute("PRAGMA table_info(calibrations)")]
     assert "line" in columns
-    with pytest.raises(FormatError, match="version 2, and this gnomon knows 1"):
+    with pytest.raises(FormatError, match="version 3, and this gnomon knows 2"):
         Library(place)
+
+
+def test_the_first_version_gets_its_index_of_dates_and_readers_leave_it_alone(place):
+    with Library(place, create=True) as library:
+        library.add(device("SN1"))
+    raw = sqlite3.connect(place)
+    raw.executescript("DROP INDEX by_date; UPDATE gnomon_library SET version = 1")
+    with pytest.raises(FormatError, match=r"line\.db: this library is of an older gnomon.*gnomon library list"):
+        Library(place, read_only=True)
+    indices = "SELECT name FROM sqlite_master WHERE type = 'index'"
+    assert ("by_date",) not in raw.execute(indices).fetchall()
+    Library(place).close()
+    assert ("by_date",) in raw.execute(indices).fetchall()
+    with Library(place, read_only=True) as library:
+        assert [entry.serial for entry in library.entries(newest=1)] == ["SN1"]
+    raw.close()
 
 
 def test_what_is_no_library_is_refused(tmp_path, place):
