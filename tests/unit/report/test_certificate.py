@@ -4,8 +4,11 @@ import re
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from gnomon.assess.priors import gravity_part
+from gnomon.assess.uncertainty_budget import uncertainty_budget
 from gnomon.cli.command import CertificateFacts
 from gnomon.cli.inputs import result_with_reading
 from gnomon.errors import OptionError
@@ -13,6 +16,7 @@ from gnomon.report import write_report
 from gnomon.report.certificate.pdf import write_certificate
 from gnomon.report.certificate.tables import certificate_tables
 from gnomon.report.page import parameter_line
+from gnomon.results.calibration import Covariance
 from html_page import Page
 
 FACTS = CertificateFacts(sensor="BMI270 <3>", serial="A-17", date="2026-03-31", temperature_c=21.5)
@@ -49,12 +53,34 @@ def test_the_marked_criterion_is_the_verdict(make_result):
         assert table.marked == k
 
 
-def test_shares_of_the_budget_are_of_the_variance(make_result):
+def test_the_budget_adds_up_and_tells_gravity_from_the_recording(make_result):
     calibration = make_result().calibration
-    trust = replace(calibration.assessment.trust, covariance="cluster-robust", sigma_ratio={"a": 2.0, "b": 0.9})
-    calibration = replace(calibration, assessment=replace(calibration.assessment, trust=trust))
-    rows = next(t for t in certificate_tables(calibration) if "comes from" in t.title).rows
-    assert [[float(cell[:-2]) for cell in row[1:]] for row in rows] == [[25, 75], [100, 0]]
+    names = calibration.uncertainty.names
+    matrix = 1e-6 * np.eye(len(names)) + gravity_part(calibration)
+    ratios = {"imu0.accelerometer.sensitivity": 2.0, "imu0.gyroscope.bias": 0.9}
+    trust = replace(calibration.assessment.trust, covariance="cluster-robust", sigma_ratio=ratios)
+    calibration = replace(
+        calibration,
+        uncertainty=Covariance(names=names, matrix=matrix),
+        assessment=replace(calibration.assessment, trust=trust, held_by_prior=("imu0.accelerometer.bias",)),
+    )
+    budgets = {budget.name.partition("[")[0]: budget for budget in uncertainty_budget(calibration)}
+    for budget in budgets.values():
+        assert sum(source.variance for source in budget.sources) == pytest.approx(budget.sigma**2, rel=1e-9)
+        for source in budget.sources:
+            standard = abs(source.sensitivity) * source.amount / source.divisor
+            assert standard**2 == pytest.approx(source.variance, rel=1e-9)
+    scale = budgets["imu0.accelerometer.sensitivity"]
+    assert [(source.name, source.kind) for source in scale.sources] == [
+        ("gravity", "B"), ("errors that last", "A"), ("independent noise", "A"),
+    ]  # fmt: skip
+    assert [source.variance for source in scale.sources[1:]] == pytest.approx([0.75e-6, 0.25e-6], rel=1e-3)
+    assert [source.kind for source in budgets["imu0.accelerometer.bias"].sources] == ["B"]
+    assert [source.name for source in budgets["imu0.gyroscope.bias"].sources] == ["independent noise"]
+    rotating = budgets["imu0.gyroscope.g_sensitivity"].sources
+    assert {source.distribution for source in rotating if source.name == "rate of the earth"} <= {"rectangular"}
+    rows = next(table for table in certificate_tables(calibration) if "comes from" in table.title).rows
+    assert len(rows) == sum(1 + len(budget.sources) for budget in budgets.values())
 
 
 @pytest.mark.parametrize("facts", [{"date": "31.3.2026"}, {"date": "2026-02-30"}, {"temperature_c": float("nan")}])
@@ -63,13 +89,13 @@ def test_facts_that_cannot_be_are_refused(facts):
         CertificateFacts(**facts)
 
 
-def test_the_pdf_is_one_page_and_the_same_bytes_again(stated, tmp_path):
+def test_the_pdf_has_two_pages_and_the_same_bytes_again(stated, tmp_path):
     pytest.importorskip("matplotlib")
     for name in ("a.pdf", "b.pdf"):
         write_certificate(stated.calibration, tmp_path / name)
     content = (tmp_path / "a.pdf").read_bytes()
     assert content == (tmp_path / "b.pdf").read_bytes()
-    assert len(re.findall(rb"/Type /Page\b", content)) == 1
+    assert len(re.findall(rb"/Type /Page\b", content)) == 2
     assert b"CreationDate" not in content
 
 

@@ -178,6 +178,7 @@ def test_every_number_of_a_table_has_its_unit(page_of, tmp_path):
         "verdict",
         "criterion",
     }
+    without |= {"quantity, and its sources", "type", "amount", "divisor", "sensitivity", "u", "share"}  # in the cells
     assert [head for head in heads if "[" not in head and head not in without] == []
 
 

@@ -11,7 +11,7 @@ from ..terminal import Terminal
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate(Command):
-    """Make a PDF of one page of a stored result: verdict, what was stated of the sensor, the numbers that matter.
+    """Make a PDF of a stored result: verdict, what was stated of the sensor, the numbers, their uncertainty budget.
 
     What it says of sensor, date, place, operator and temperature was stated in the options of the command that
     calibrated. Needs Matplotlib: pip install "gnomon[certificate]".

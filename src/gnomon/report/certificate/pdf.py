@@ -1,7 +1,8 @@
-"""The certificate of a stored calibration as a PDF of one page (A4)."""
+"""The certificate of a stored calibration as a PDF of two pages (A4): the numbers, and their uncertainty budget."""
 
 import io
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from ...output import write_whole
 from ...results.calibration import Calibration
 from ..page import ReportTable, typeset_finding
 from ..sections import HEADLINES
-from .tables import certificate_tables
+from .tables import BUDGET_TITLE, budget_table, certificate_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +21,10 @@ _WIDTH, _HEIGHT = 8.27, 11.69
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.09, 0.91, 0.955, 0.05
 _LINE = 0.0148
 """Height of a line of text, in heights of the page."""
-_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0)}
+_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0), 7: (0.0, 0.35, 0.57, 0.73, 0.83, 0.91, 1.0)}
 """Number of columns -> where they begin, or end where they hold numbers, in widths of the text."""
+_BESIDE_BUDGET = 8
+"""Lines of the page that its title, head and caption take."""
 _INK, _MUTED = "#17202a", "#57636f"
 _TONES = {"pass": "#1a6b3c", "warn": "#8a5a00", "fail": "#b3261e"}
 _SIZE, _SMALL = 9.0, 7.8
@@ -39,6 +42,7 @@ def write_certificate(calibration: Calibration, path: str | Path) -> None:
     """
     try:
         from matplotlib import rc_context
+        from matplotlib.backends.backend_pdf import PdfPages
         from matplotlib.figure import Figure
     except ImportError:
         raise OptionError(
@@ -46,9 +50,12 @@ def write_certificate(calibration: Calibration, path: str | Path) -> None:
         ) from None
     stream = io.BytesIO()
     with rc_context({"font.family": "DejaVu Sans", "pdf.fonttype": 42, "text.parse_math": False}):
-        figure = Figure(figsize=(_WIDTH, _HEIGHT))
-        _Sheet(figure).fill(calibration)
-        figure.savefig(stream, format="pdf", metadata={"CreationDate": None, "Title": "Calibration certificate"})
+        sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(2)]
+        _Sheet(sheets[0]).fill(calibration)
+        _Sheet(sheets[1]).fill_budget(calibration)
+        with PdfPages(stream, metadata={"CreationDate": None, "Title": "Calibration certificate"}) as pages:
+            for sheet in sheets:
+                pages.savefig(sheet)
     write_whole(path, stream.getvalue())
 
 
@@ -59,7 +66,7 @@ class _Sheet:
         self._figure, self._y = figure, _TOP
 
     def fill(self, calibration: Calibration) -> None:
-        """Write everything: verdict and findings, tables, inputs."""
+        """Write verdict and findings, the numbers, inputs."""
         verdict, provenance = calibration.verdict, calibration.provenance
         self._text("Calibration certificate", size=18, bold=True, step=2.2)
         self._text(f"{verdict.capitalize()}. {HEADLINES[verdict]}", size=12, color=_TONES[verdict], bold=True, step=1.8)
@@ -69,11 +76,20 @@ class _Sheet:
         if len(pressing) > 4:
             self._wrapped(f"{len(pressing) - 4} more findings are in the report.")
         for table in certificate_tables(calibration):
-            self._table(table)
+            if table.title != BUDGET_TITLE:
+                self._table(table)
         self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
         for source in provenance.inputs[:5]:
             self._wrapped(f"Input {source.name}, SHA-256 {source.sha256}")
         self._wrapped(f"Made by gnomon {provenance.gnomon_version}, method {provenance.method}.")
+
+    def fill_budget(self, calibration: Calibration) -> None:
+        """Write the uncertainty budget, as much of it as a page holds."""
+        budget = budget_table(calibration)
+        rows = int((_TOP - _BOTTOM) / _LINE) - _BESIDE_BUDGET
+        self._table(replace(budget, rows=budget.rows[:rows]))
+        if len(budget.rows) > rows:
+            self._wrapped("The rest of the budget is in the report.")
 
     def _table(self, table: ReportTable) -> None:
         self._y -= 0.6 * _LINE
@@ -83,7 +99,7 @@ class _Sheet:
             chosen = table.marked is not None and k == table.marked + 1
             for column, (place, cell) in enumerate(zip(_COLUMNS[len(row)], row, strict=True)):
                 number = column > 0 and len(row) > 2
-                color = _MUTED if row is table.head else _INK
+                color = _MUTED if row is table.head or k - 1 in table.faint else _INK
                 self._put(cell, place, align="right" if number else "left", color=color, bold=chosen)
             self._y -= _LINE
         if table.caption:

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 
+from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
 from ...results.calibration import Calibration
 from ..camera_parameters import camera_groups, lens_groups, pose_groups
 from ..imu_parameters import imu_groups, parameter_groups
-from ..numbers import MISSING, fixed_text
+from ..numbers import MISSING, fixed_text, number_text, readable_unit
 from ..page import ParameterGroup, ReportTable
 
 STATED: Mapping[str, str] = FrozenMapping(
@@ -20,6 +21,7 @@ STATED: Mapping[str, str] = FrozenMapping(
     }
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
+BUDGET_TITLE = "Where the uncertainty comes from"
 _MOST = 12
 """Numbers on page one."""
 _MATTERS = ("scale", "bias")
@@ -32,10 +34,10 @@ _CRITERIA = (
 
 
 def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
-    """Return the tables of page one; that of the sources of uncertainty where the result tells them."""
+    """Return the tables of page one, the uncertainty budget among them."""
     return tuple(
         table
-        for table in (_stated(calibration), _numbers(calibration), _budget(calibration), _criteria(calibration))
+        for table in (_stated(calibration), _numbers(calibration), budget_table(calibration), _criteria(calibration))
         if table.rows
     )
 
@@ -93,21 +95,39 @@ def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
             yield "", group
 
 
-def _budget(calibration: Calibration) -> ReportTable:
-    """Return which share of the variance of each block is that of independent noise, where that is known."""
-    trust = calibration.assessment.trust
-    ratios = trust.sigma_ratio if trust.covariance == "cluster-robust" else {}
-    rows = [
-        (block, f"{fixed_text(100 * share, 1)}\u00a0%", f"{fixed_text(100 * (1 - share), 1)}\u00a0%")
-        for block, ratio in ratios.items()
-        if ratio > 0
-        for share in (min(1.0, ratio**-2),)
-    ]
+def budget_table(calibration: Calibration) -> ReportTable:
+    """Return the uncertainty budget: of each block the least certain scalar, and from which sources its sigma comes."""
+    rows: list[tuple[str, ...]] = []
+    faint = set[int]()
+    for quantity in uncertainty_budget(calibration):
+        sigma, expanded = (number_text(size, 2) for size in (quantity.sigma, quantity.expanded))
+        unit = "" if quantity.unit == "1" else f"\u00a0{readable_unit(quantity.unit)}"
+        rows.append((quantity.name, "", f"U\u00a0=\u00a0{expanded}{unit}", "", "", sigma, ""))
+        for source in quantity.sources:
+            share = source.variance / quantity.sigma**2
+            stated = "" if source.unit == "1" else f"\u00a0{readable_unit(source.unit)}"
+            faint.add(len(rows))
+            rows.append(
+                (
+                    f"\u2003{source.name}",
+                    source.kind,
+                    f"{number_text(source.amount, 2)}{stated}",
+                    "√3 (rectangular)" if source.distribution == "rectangular" else "1 (normal)",
+                    number_text(source.sensitivity, 2),
+                    number_text(source.variance**0.5, 2),
+                    f"{fixed_text(100 * share, 1)}\u00a0%",
+                )
+            )
+    within = " Of a rig, gravity and detector are within the others, not apart." if calibration.cameras else ""
     return ReportTable(
-        "Where the uncertainty comes from",
-        ("share of the variance", "independent noise", "errors that last"),
-        rows[:_MOST],
-        "Errors that last: what the scatter between parts of the recording shows beyond independent noise.",
+        BUDGET_TITLE,
+        ("quantity, and its sources", "type", "amount", "divisor", "sensitivity", "u", "share"),
+        rows,
+        "Of each block of parameters the least certain one, after JCGM 100:2008. Type A: by the statistics of the "
+        "recording, B: known otherwise. u = |sensitivity| × amount / divisor, in the unit of U; its share is of the "
+        "variance. The first line of each has the combined standard uncertainty and U = 2u (k = 2, about 95 %). Errors "
+        f"that last: what the scatter between parts of the recording shows beyond independent noise.{within}",
+        faint=frozenset(faint),
         dense=True,
     )
 
