@@ -55,7 +55,6 @@ SHOWN = {
     "gyroscope-clips": Shown("Signals and static detector", 0.37, 0.68),
     "accelerometer-warms-up": Shown("Error of the magnitude of specific force"),
     "rig-accelerometer-clips": Shown("Accelerometer over the recording", 0.0, 0.56),
-    "clock-jumps": Shown("Frames of cam0"),
     "board-moved": Shown("Frames of cam0"),
     "distortion-missing": Shown("Mean residual over the image"),
     "turned-about-one-axis": Shown("Axes of rotation"),

@@ -75,6 +75,12 @@ def _without_gravity(t_s: Floats, values: Floats) -> Floats:
     return values - smooth
 
 
+def _shaken(t_s: Floats, values: Floats) -> Floats:
+    """Shake the last third, as the motors of a drone do."""
+    noise = np.random.default_rng(0).normal(0, 0.2, values.shape)
+    return values + np.where(t_s > 0.65 * t_s[-1], 1.0, 0.0)[:, None] * noise
+
+
 IMU_FAULTS = (
     Fault(
         name="accelerometer-in-g",
@@ -217,6 +223,24 @@ IMU_FAULTS = (
         scenario=_SOUND,
         remedied=True,
         spoil=accelerometer(lambda t_s, values: values + 0.2 * warming(t_s, 90.0) * np.array([0.4, 1.0, -0.7])),
+    ),
+    Fault(
+        name="range-set-back",
+        title="A brown-out set the accelerometer's full scale to half of what it was",
+        symptom="Gravity reads twice as much from then on.",
+        codes=("range-changed",),
+        says=(r"full scale",),
+        scenario=_SOUND,
+        spoil=accelerometer(lambda t_s, values: values * np.where(t_s > 0.6 * t_s[-1], 2.0, 1.0)[:, None]),
+    ),
+    Fault(
+        name="motors-on",
+        title="The motors ran during the last third of the rests",
+        symptom="A third of the rests is missing.",
+        codes=("intervals-left-out",),
+        says=(r"shakes more",),
+        scenario=_SOUND,
+        spoil=accelerometer(_shaken),
     ),
     Fault(
         name="gravity-removed",

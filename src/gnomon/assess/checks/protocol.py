@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...detect.samples.range_change import RangeChange
 from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.rests import Rests
 from ...detect.samples.saturation import saturated_samples
@@ -106,6 +107,8 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     means = interval_means(accelerometer.values, rests)
     attitudes, radius = distinct_attitudes(means, accelerometer)
     findings = _gravity(means, radius, accelerometer, label)
+    if detection is not None and detection.range_change is not None:
+        findings.insert(0, _range_changed(detection.range_change, accelerometer, label, findings))
     if unrest > _UNSTEADY:
         findings.append(make_finding("rests-unsteady", label=label, unrest=unrest))
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
@@ -268,6 +271,19 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
             found=why_no_gravity(found, message),
         )
     ]
+
+
+def _range_changed(change: RangeChange, accelerometer: TriadSamples, label: str, gravity: list[Finding]) -> Finding:
+    """Return that the reading of gravity changed; a problem where the side that is kept does not read gravity."""
+    t_s = accelerometer.t_s
+    return make_finding(
+        "range-changed",
+        severity="problem" if any(one.severity == "problem" for one in gravity) else "warning",
+        label=label,
+        factor=change.factor,
+        t_from_s=t_s[change.last],
+        t_to_s=t_s[change.first],
+    )
 
 
 def looks_like(gravity: float, unit: str) -> str:

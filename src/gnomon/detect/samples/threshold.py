@@ -5,6 +5,8 @@ uncertainty that the accelerometer's parameters would have with its intervals, a
 out reveals: more data lower it, intervals that hold motion raise it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...errors import InitialisationError
@@ -12,15 +14,20 @@ from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_ch
 from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
-from ...recording import Floats, TriadSamples
+from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...units import ACCELEROMETER_UNITS_M_S2
 from .noise import resting_noise
+from .range_change import RangeChange, find_range_change
 from .rests import Rests, RestStatistics, find_rests
 from .static import static_statistic, window_samples
 
 MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
 _USUAL = 10.0  # multiplier where nothing tells which serves best
+_SHAKES = "it shakes more than the rests that are used"
+_RANGE = "the accelerometer reads gravity as another number there"
+_LOUDEST = 1e6  # multiplier at which a rest that shakes thirty times as much as the others is still seen
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
 _SUSPICIOUS_SIGMA = 2.5
@@ -52,12 +59,15 @@ class RestDetection:
     Attributes
     ----------
     motion : what the detectors saw
-    chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken
+    chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken. Rests of
+        the one taken are with those that only a higher threshold shows, which are not used
+    range_change : where the accelerometer began to read another magnitude; rests of one side are used
     """
 
     motion: RestStatistics
     chosen: ThresholdTrial
     trials: tuple[ThresholdTrial, ...]
+    range_change: RangeChange | None = None
 
 
 def detect_rests(
@@ -85,10 +95,62 @@ def detect_rests(
         return None
     statistic = static_statistic(accelerometer.values, window)
     motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
+    usual, loudest = (find_rests(motion, m, _shortest(accelerometer)) for m in (_USUAL, _LOUDEST))
+    change = _range_change(accelerometer, (usual, loudest), gravity_m_s2)
+    if change is not None:
+        first, end = change.kept
+        statistic = np.full(len(accelerometer), np.inf)
+        statistic[first:end] = static_statistic(accelerometer.values[first:end], min(window, end - first))
+        motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
     chosen, trials = choose_threshold(motion, gravity_m_s2, MULTIPLIERS if multiplier is None else (multiplier,))
     if chosen.fit is None:
         chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
-    return RestDetection(motion=motion, chosen=chosen, trials=trials)
+    if len(gyroscope):  # which alone tells a rest that shakes from a slow turn
+        chosen = replace(chosen, rests=_with_unused(chosen.rests, loudest, change))
+    return RestDetection(motion=motion, chosen=chosen, trials=trials, range_change=change)
+
+
+def _range_change(samples: TriadSamples, rests: tuple[Rests, ...], gravity_m_s2: float) -> RangeChange | None:
+    """Return the change that one of several sets of rests shows: loud rests are in one, quiet ones apart in another."""
+    unit = ACCELEROMETER_UNITS_M_S2[samples.unit]
+    gravity = gravity_m_s2 / unit if unit else None
+    changes = (find_range_change(samples.values, some.found, gravity, FEWEST_INTERVALS + 1) for some in rests)
+    return next((change for change in changes if change is not None), None)
+
+
+def _shortest(samples: TriadSamples) -> int:
+    return max(2, round(SHORTEST_S * samples.rate_hz))
+
+
+def _with_unused(rests: Rests, loudest: Rests, change: RangeChange | None) -> Rests:
+    """Return the rests with those that were found at the highest threshold only, as not used.
+
+    Short ones are left away, since any motion is slow for a moment, and those in which the gyroscope turns.
+    """
+    if not len(rests):
+        return rests
+    inside = change.kept if change is not None else (0, np.inf)
+    other = (loudest.kept.start < inside[0]) | (loudest.kept.stop > inside[1])
+    length = np.median(rests.found.stop - rests.found.start)
+    begins = np.searchsorted(rests.found.stop, loudest.kept.start, side="right")
+    ends = np.searchsorted(rests.found.start, loudest.kept.stop)
+    apart = begins >= ends
+    extra = apart & (other | loudest.used) & (loudest.kept.stop - loudest.kept.start > 0.5 * length)
+    if not extra.any():
+        return rests
+    order = np.argsort(np.concatenate([rests.kept.start, loudest.kept.start[extra]]))
+    reason = (*rests.reason, *(_RANGE if there else _SHAKES for there in other[extra]))
+    return Rests(
+        found=_joined(rests.found, loudest.found.where(extra), order),
+        kept=_joined(rests.kept, loudest.kept.where(extra), order),
+        reason=tuple(reason[k] for k in order),
+    )
+
+
+def _joined(one: StaticIntervals, other: StaticIntervals, order: Integers) -> StaticIntervals:
+    return StaticIntervals(
+        start=np.concatenate([one.start, other.start])[order], stop=np.concatenate([one.stop, other.stop])[order]
+    )
 
 
 def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
@@ -101,8 +163,7 @@ def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float
     gravity_m_s2 : magnitude of gravity
     """
     samples = motion.samples
-    shortest = max(2, round(SHORTEST_S * samples.rate_hz))
-    rests = find_rests(motion, multiplier, shortest)
+    rests = find_rests(motion, multiplier, _shortest(samples))
     intervals = rests.intervals
     means = interval_means(samples.values, intervals)
     nothing = ThresholdTrial(
