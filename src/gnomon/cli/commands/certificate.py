@@ -13,26 +13,36 @@ from ..terminal import Terminal
 class Certificate(Command):
     """Make a PDF of a stored result: verdict, what was stated of the sensor, the numbers, their uncertainty budget.
 
-    What it says of sensor, date, place, operator and temperature was stated in the options of the command that
-    calibrated. Needs Matplotlib: pip install "gnomon[certificate]".
+    A FILE that ends in .xml becomes a digital calibration certificate (PTB's DCC) for other programs. What it says of
+    sensor, date, place, operator and temperature was stated in the options of the command that calibrated; serial
+    number and date must have been for an XML file. A PDF needs Matplotlib: pip install "gnomon[certificate]".
 
     Examples
     --------
     $ gnomon certificate recording-imu -o certificate.pdf
+    $ gnomon certificate recording-imu -o certificate.xml --country DE
     """
 
     calibration: CalibrationPath
     """The folder of a result, or its calibration.yaml."""
     output: Annotated[Path, output_option("FILE")]
-    """PDF file to write."""
+    """PDF or XML file to write."""
+    country: str = "ZZ"
+    """Country of the laboratory, by ISO 3166-1, for an XML file; ZZ is none."""
 
     def run(self, terminal: Terminal) -> int:
         """Write the certificate, and return the exit code of the calibration."""
         from ...formats.own.calibration_file import calibration_at, load
-        from ...report.certificate.pdf import write_certificate
 
         calibration = load(calibration_at(self.calibration))
-        write_certificate(calibration, self.output)
+        if self.output.suffix.lower() == ".xml":
+            from ...writers.digital_certificate import write_digital_certificate
+
+            write_digital_certificate(calibration, self.output, country=self.country)
+        else:
+            from ...report.certificate.pdf import write_certificate
+
+            write_certificate(calibration, self.output)
         terminal.print(f"certificate  {self.output}")
         terminal.document({"verdict": calibration.verdict, "file": str(self.output)})
         return exit_code(calibration)
