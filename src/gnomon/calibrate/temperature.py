@@ -28,7 +28,7 @@ from ..estimate.temperature.bias_drift import (
 from ..findings import Finding
 from ..frozen import value_class
 from ..progress import Progress
-from ..recording import Floats, ImuSamples, Recording, Source
+from ..recording import ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
@@ -51,7 +51,6 @@ _LAG_GAIN = 15.0
 """Twice the log likelihood that a lag has to gain."""
 _BEYOND = 0.05
 """Of the range, by which a polynomial is used beyond it."""
-_CURVE = 60
 
 
 @value_class
@@ -349,23 +348,19 @@ def _describe(fit: _Fit, triad: str, base: Calibration) -> TriadOverTemperature:
 
 
 def _curve(fit: _Fit, axis: int, per_si: float) -> AxisOverTemperature:
-    drift = fit.drifts[axis]
-    at = np.linspace(*fit.span, _CURVE)
-
-    def powers(degc: Floats) -> Floats:
-        return np.vander(degc - fit.problem.reference_degc, len(drift.coefficients), increasing=True)[:, 1:]
-
-    p, covariance = drift.coefficients[1:], drift.covariance[1:, 1:]
-    off = [one.values[:, axis] - np.mean(one.values[:, axis] - powers(one.degc) @ p) for one in fit.problem.warm_ups]
-    return AxisOverTemperature(
-        degc=np.concatenate([one.degc for one in fit.problem.warm_ups]),
+    drift, reference, warm_ups = fit.drifts[axis], fit.problem.reference_degc, fit.problem.warm_ups
+    polynomial = np.polynomial.Polynomial([0.0, *drift.coefficients[1:]])
+    left = [one.values[:, axis] - polynomial(one.degc - reference) for one in warm_ups]
+    off = [one.values[:, axis] - rest.mean() for one, rest in zip(warm_ups, left, strict=True)]
+    numbers = np.arange(len(warm_ups), dtype=np.float64)
+    return AxisOverTemperature.from_polynomial(
+        drift.coefficients[1:] / per_si,
+        drift.covariance[1:, 1:] / per_si**2,
+        reference_degc=reference,
+        span_degc=fit.span,
+        degc=np.concatenate([one.degc for one in warm_ups]),
         values=np.concatenate(off) / per_si,
-        warm_up=np.repeat(
-            np.arange(len(fit.problem.warm_ups), dtype=np.float64), [len(one.degc) for one in fit.problem.warm_ups]
-        ),
-        at_degc=at,
-        change=powers(at) @ p / per_si,
-        sigma=np.sqrt(np.einsum("ij,jk,ik->i", powers(at), covariance, powers(at))) / per_si,
+        warm_up=np.repeat(numbers, [len(one.degc) for one in warm_ups]),
     )
 
 

@@ -20,6 +20,7 @@ from ..results.calibration import Calibration, Covariance, covariance_names
 from ..results.result import Result
 from ..results.sensors import TEMPERATURE_PARTS, ImuCalibration, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TriadOverTemperature
+from ..results.trust import VERDICTS
 from .imu import calibrate_imu
 from .several_recordings import calibrated_alike, scalars_of, with_scalars
 
@@ -35,8 +36,6 @@ _PARTS = {
     for part, quantities in (("bias", ("bias",)), ("sensitivity", ("scale", "misalignment")))
 }
 """What may change with the temperature, each with one order, and its quantities."""
-_VERDICTS = ("pass", "warn", "fail")
-_CURVE = 60
 
 
 @value_class
@@ -140,7 +139,7 @@ def turned_calibration(
     base : what is known of the sensor at the reference; where None, what these recordings tell, with the assessment of
         the worst of them
     """
-    first = max((result.calibration for result in turned.results), key=lambda one: _VERDICTS.index(one.verdict))
+    first = max((result.calibration for result in turned.results), key=lambda one: VERDICTS.index(one.verdict))
     scalars, coefficients = turned.scalars, turned.found.coefficients
     flat = [turned.selection(power) @ coefficients / scalars.factor for power in range(max(turned.orders.values()) + 1)]
     flat[0] = np.where(scalars.estimated, flat[0], scalars.values.mean(axis=0) / scalars.factor)
@@ -239,15 +238,13 @@ def _described(turned: TurnedRecordings, triad: str, kind: str, calibration: Cal
 
 def _axis(turned: TurnedRecordings, scalar: int, order: int, scale: float) -> AxisOverTemperature:
     start = turned.found.start[scalar]
-    at = np.linspace(*turned.span, _CURVE)
-    powers = np.vander(at - turned.reference_degc, order + 1, increasing=True)[:, 1:]
-    p = turned.found.coefficients[start + 1 : start + 1 + order]
-    covariance = turned.found.covariance[start + 1 : start + 1 + order, start + 1 : start + 1 + order]
-    return AxisOverTemperature(
+    own = slice(start + 1, start + 1 + order)
+    return AxisOverTemperature.from_polynomial(
+        turned.found.coefficients[own] / scale,
+        turned.found.covariance[own, own] / scale**2,
+        reference_degc=turned.reference_degc,
+        span_degc=turned.span,
         degc=turned.degc,
         values=(turned.recorded.values[:, scalar] - turned.found.coefficients[start]) / scale,
         warm_up=np.arange(len(turned.degc), dtype=np.float64),
-        at_degc=at,
-        change=powers @ p / scale,
-        sigma=np.sqrt(np.einsum("ij,jk,ik->i", powers, covariance, powers)) / abs(scale),
     )

@@ -1,9 +1,15 @@
 """How an IMU changes with its temperature, and how that was found."""
 
+from typing import Self
+
+import numpy as np
+
 from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Calibration
 from .plotting import Plotted
+
+_CURVE = 60
 
 
 @value_class
@@ -25,6 +31,28 @@ class AxisOverTemperature:
     at_degc: Floats
     change: Floats
     sigma: Floats
+
+    @classmethod
+    def from_polynomial(
+        cls, coefficients: Floats, covariance: Floats, *, reference_degc: float, span_degc: tuple[float, float],
+        degc: Floats, values: Floats, warm_up: Floats,
+    ) -> Self:  # fmt: skip
+        """Return what was seen, and the curve of a polynomial over a range.
+
+        Parameters
+        ----------
+        coefficients, covariance : of the powers 1 to order of the temperature above the reference [SI per K^j]
+        """
+        at = np.linspace(*span_degc, _CURVE)
+        powers = np.vander(at - reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
+        return cls(
+            degc=degc,
+            values=values,
+            warm_up=warm_up,
+            at_degc=at,
+            change=powers @ coefficients,
+            sigma=np.sqrt(np.einsum("ij,jk,ik->i", powers, covariance, powers)),
+        )
 
 
 @value_class

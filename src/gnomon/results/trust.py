@@ -6,12 +6,14 @@ Parameters are grouped in blocks, named by their path in the calibration file, s
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Literal
+from typing import Literal, get_args
 
 from ..frozen import value_class
 from ..recording import Floats
 
 Verdict = Literal["pass", "warn", "fail"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+"""The best first."""
 CovarianceKind = Literal["cluster-robust", "ordinary", "between-recordings"]
 
 

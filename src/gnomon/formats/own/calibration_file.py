@@ -35,7 +35,7 @@ from ...results.calibration import (
     covariance_names,
 )
 from ...results.sensors import TEMPERATURE_PARTS, TemperatureDependence
-from ...results.trust import Need, QuantityChange, UncertaintySummary
+from ...results.trust import VERDICTS, Need, QuantityChange, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
 
@@ -259,7 +259,6 @@ _OF_IMUS = ("gravity", "imus")
 FIELD_UNITS = ("uT", "local field")
 """Units of a calibrated magnetic field."""
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-_VERDICTS = ("pass", "warn", "fail")
 _COVARIANCES = ("cluster-robust", "ordinary", "between-recordings")
 _FRAMES = {
     "accel-x": ("accelerometer", "accel-x"),
@@ -321,7 +320,7 @@ def _cameras_alone(top: dict[str, Node]) -> Calibration:
 
 def _checked(top: dict[str, Node], calibration: Calibration) -> Calibration:
     """Return the calibration if what stands twice in its file agrees."""
-    if top["verdict"].text(_VERDICTS) != calibration.verdict:
+    if top["verdict"].text(VERDICTS) != calibration.verdict:
         raise top["verdict"].fail(
             f'"{top["verdict"].value}" contradicts assessment.verdict, "{calibration.verdict}". They are one thing.'
         )
@@ -580,7 +579,7 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
 
 def _common_assessment(keys: dict[str, Node]) -> Assessment:
     """Return the part of an assessment that calibrations of every kind have."""
-    verdict = keys["verdict"].text(_VERDICTS)
+    verdict = keys["verdict"].text(VERDICTS)
     return Assessment(
         verdict=verdict,  # pyright: ignore[reportArgumentType]
         findings=tuple(finding_entry(item) for item in keys["findings"].items()),
@@ -631,7 +630,7 @@ def _need(node: Node) -> Need:
         sigma=keys["sigma"].number(finite=False),
         needed=keys["needed"].number(finite=False),
         unit=keys["unit"].text(),
-        verdict=keys["verdict"].text(_VERDICTS),  # pyright: ignore[reportArgumentType]
+        verdict=keys["verdict"].text(VERDICTS),  # pyright: ignore[reportArgumentType]
         cure=keys["cure"].text() if "cure" in keys else "",
         floor=keys["floor"].number() if "floor" in keys else 0.0,
     )

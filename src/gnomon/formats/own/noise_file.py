@@ -7,7 +7,6 @@ from typing import Any, cast
 
 from ...errors import FormatError
 from ...output import write_together, write_whole
-from ...results.calibration import Verdict
 from ...results.sensor_noise import (
     COEFFICIENTS,
     DATASHEET_UNITS,
@@ -19,6 +18,7 @@ from ...results.sensor_noise import (
     SensorNoise,
     TriadNoise,
 )
+from ...results.trust import VERDICTS, Verdict
 from ..kalibr.imu import IMU_FILE, StatedImu, stated_entry
 from ..shared.structured import Node, read_yaml
 from ..shared.yaml_text import kalibr_yaml, yaml_lines
@@ -27,7 +27,6 @@ from .calibration_text import finding_document, provenance_document
 
 NOISE_SCHEMA = "gnomon-noise/1"
 AXES = ("x", "y", "z")
-_VERDICTS = ("pass", "warn", "fail")
 _PER_SAMPLE = ("white_noise_per_sample", "random_walk_per_sample")
 
 
@@ -53,7 +52,7 @@ def load_noise(path: str | PathLike[str]) -> SensorNoise:
         accelerometer=_read_triad(top["accelerometer"]) if "accelerometer" in top else None,
         gyroscope=_read_triad(top["gyroscope"]) if "gyroscope" in top else None,
         t_init_s=top["t_init"].number() if "t_init" in top else float("nan"),
-        verdict=cast(Verdict, top["verdict"].text(_VERDICTS)),
+        verdict=cast(Verdict, top["verdict"].text(VERDICTS)),
         findings=tuple(finding_entry(item) for item in top["findings"].items()),
         provenance=provenance_entry(top["provenance"]),
     )
