@@ -25,6 +25,10 @@ _NEWEST = 200
 """Calibrations of a device that are shown."""
 _CHARTED = 2000
 """Calibrations that a chart shows, the newest."""
+_CAPTION = (
+    f"Charts show the newest {_CHARTED} results as they are, limits from their own spread. gnomon library report "
+    "looks at all of them, and takes stations that are off and changes in time out of mean and spread first."
+)
 _LONGEST = 64
 """Characters of a search."""
 _MOST_PAGES = 1_000_000
@@ -106,9 +110,7 @@ class LibraryPages:
             k = table.names.index(name)
             blocks.append(chart_figure(table, first, k, _population(table, first, k)))
         rows = [(_link("chart", "name", of), unit) for of, unit in zip(table.names, table.units, strict=True)]
-        blocks.append(
-            ReportTable("Parameters", ("parameter", "unit"), rows, f"Charts show the newest {_CHARTED} results.")
-        )
+        blocks.append(ReportTable("Parameters", ("parameter", "unit"), rows, _CAPTION))
         return self._filled(name or "Charts", blocks)
 
     @lru_cache(maxsize=1)  # noqa: B019 - there is one

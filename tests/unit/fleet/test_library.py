@@ -17,6 +17,7 @@ import pytest
 from fleet_line import NAMES, device
 from gnomon.errors import FormatError, OptionError
 from gnomon.fleet import schema
+from gnomon.fleet.export import export_table
 from gnomon.fleet.library import Library
 
 TESTS = str(Path(__file__).parents[2])
@@ -46,6 +47,23 @@ def test_entries_are_in_the_order_of_their_dates(place):
             library.add(device("SN1", day, seed=day))
         assert [entry.measured for entry in library.entries(kind="imu")] == ["2026-01-03", "2026-01-06", "2026-01-10"]
         assert not list(library.entries(kind="camera"))
+
+
+def test_a_table_for_others_has_every_scalar_with_its_sigma(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    entries = [device("SN1", seed=1), device("=SN2", 3, seed=2, temperature_c=23.5)]
+    entries[1] = replace(entries[1], names=(*NAMES[1:], "imu0.gyroscope.bias[9]"))  # other scalars than the first
+    assert export_table(entries, tmp_path / "line.parquet") == 2
+    read = parquet.read_table(tmp_path / "line.parquet")
+    table = read.to_pydict()
+    assert table["serial"] == ["SN1", "=SN2"]
+    assert table["measured"] == ["2026-01-01", "2026-01-04"]
+    assert table["temperature_c"] == [None, 23.5]
+    for row, entry in enumerate(entries):
+        for name, value, sigma in zip(entry.names, entry.values, entry.sigmas, strict=True):
+            assert (table[name][row], table[f"{name}_sigma"][row]) == (value, sigma)
+    assert table[NAMES[0]] == [entries[0].values[0], None]
+    assert str(read.schema.field(NAMES[0]).type) == "double"
 
 
 def test_a_run_and_its_calibration_are_kept_together(place):
