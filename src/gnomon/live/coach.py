@@ -70,6 +70,18 @@ class CoachState:
     rate_hz: float = 0.0
     confirmed: bool = False
 
+    @property
+    def subject(self) -> str:
+        """What the advice is about; a status that is not drawn again is printed where it changes."""
+        return f"{self.phase} {self.prospect.target}"
+
+    @property
+    def known(self) -> str:
+        """How much is known, in a few words."""
+        rests = len(self.prospect.up)
+        worst = max((need.sigma / need.needed for need in self.prospect.needs), default=None)
+        return f"{rests} rest{'s' * (rests != 1)}" + ("" if worst is None else f", sigma {worst:.2g} of what is needed")
+
     def document(self) -> dict[str, Any]:
         """Return it for the page."""
         target = self.prospect.target

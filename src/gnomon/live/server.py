@@ -16,6 +16,7 @@ from typing import Any
 
 from ..errors import RecordingError
 from ..local_server import LocalServer
+from .camera_session import CameraSession
 from .session import LiveSession
 from .sources import INSTALL, PushSource
 
@@ -25,11 +26,8 @@ _MOST_CLIENTS = 16
 _LONGEST_PUSH = 4 << 20
 _LAST_S = 20.0
 _POLICY = "script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; form-action 'none'"
-_FILES = {
-    "/": ("live.html", "text/html"),
-    "/live.css": ("live.css", "text/css"),
-    "/live.js": ("live.js", "text/javascript"),
-}
+_KINDS = {".css": "text/css", ".js": "text/javascript"}
+Session = LiveSession | CameraSession
 
 
 class LivePage(LocalServer):
@@ -47,13 +45,14 @@ class LivePage(LocalServer):
         If what it needs is not installed, or the port is taken.
     """
 
-    def __init__(self, session: LiveSession, *, port: int = 0, lan: bool = False) -> None:
+    def __init__(self, session: Session, *, port: int = 0, lan: bool = False) -> None:
         self.session = session
         self._clients, self._result, self._fetched = 0, "", threading.Event()
         self._report: Path | None = None
         super().__init__(
             [
-                *((path, "GET", self._file) for path in _FILES),
+                *((path, "GET", self._file) for path in ("/", "/live.css", "/live.js", f"/{session.page}.js")),
+                ("/picture", "GET", self._picture),
                 ("/events", "GET", self._events),
                 ("/report", "GET", self._show_report),
                 ("/stop", "POST", self._stop),
@@ -92,9 +91,14 @@ class LivePage(LocalServer):
         self.end_serving()
 
     async def _file(self, request: Any) -> Any:
-        name, kind = _FILES[request.url.path]
+        first = request.url.path == "/"
+        name = f"{self.session.page}.html" if first else request.url.path[1:]
         content = (files("gnomon.live") / "page" / name).read_bytes()
-        return self.answer(content, kind, first=request.url.path == "/")
+        return self.answer(content, _KINDS.get(Path(name).suffix, "text/html"), first=first)
+
+    async def _picture(self, _request: Any) -> Any:
+        content = self.session.picture() if isinstance(self.session, CameraSession) else b""
+        return self.answer(content, "image/jpeg") if content else self.say("There is no picture.", 404)
 
     async def _events(self, _request: Any) -> Any:
         from starlette.responses import StreamingResponse

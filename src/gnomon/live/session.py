@@ -37,6 +37,8 @@ class LiveSession:
     coach : which kind of
     """
 
+    page = "imu"
+
     def __init__(
         self,
         source: LiveSource,
@@ -61,6 +63,11 @@ class LiveSession:
         self._arrived_s = time.monotonic()
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._counts: deque[tuple[int, int]] = deque([(0, 0)], maxlen=_LOOKS)
+
+    @property
+    def recorded(self) -> str:
+        """What was recorded."""
+        return f"{self.recorder.written} lines"
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""

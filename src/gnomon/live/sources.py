@@ -15,7 +15,7 @@ from urllib.parse import quote
 from urllib.request import urlopen
 
 from ..errors import OptionError, RecordingError
-from ..recording import TriadSamples
+from ..recording import ImuSamples, TriadSamples
 from ..units import Units
 from .hand import SimulatedHand
 
@@ -40,10 +40,11 @@ class LiveSource(ABC):
     Attributes
     ----------
     trouble : why nothing arrives now, and what to do; "" where all is well
+    ended : whether nothing will come any more
     """
 
     def __init__(self) -> None:
-        self.trouble = ""
+        self.trouble, self.ended = "", False
 
     @abstractmethod
     def arriving_lines(self, stop: Event) -> Iterator[Arrival]:
@@ -62,27 +63,74 @@ def open_source(text: str, units: Units | None = None) -> LiveSource:
     OptionError
         If there is no such source, or what it needs is not installed.
     """
-    kind, _, rest = text.partition(":")
-    where, at, number = rest.rpartition("@") if "@" in rest else (rest, "", "")
-    factor = _whole_number(text, number) if at and kind in {"serial", "replay"} else 0
+    kind, rest, factor = parse_source(text, _FORMS, numbered=("serial", "replay"))
     makers: dict[str, Callable[[], LiveSource]] = {
-        "serial": lambda: SerialSource(where, factor or _BAUD),
+        "serial": lambda: SerialSource(rest, factor or _BAUD),
         "tail": lambda: TailSource(Path(rest)),
-        "udp": lambda: UdpSource(_whole_number(text, rest)),
+        "udp": lambda: UdpSource(_whole_number(text, rest, _FORMS)),
         "phyphox": lambda: PhyphoxSource(rest),
         "http": PushSource,
-        "replay": lambda: ReplaySource(Path(where), factor or 1, units),
-        "simulate": lambda: SimulatedSource(_whole_number(text, rest or "0")),
+        "replay": lambda: ReplaySource(_recorded(Path(rest), units), Pace(factor or 1)),
+        "simulate": lambda: SimulatedSource(_whole_number(text, rest or "0", _FORMS)),
     }
     if kind not in makers or (not rest and kind not in {"http", "simulate"}):
         raise OptionError(f"{text}: there is no such source. Name one as {_FORMS}.")
     return makers[kind]()
 
 
-def _whole_number(text: str, number: str) -> int:
+def parse_source(text: str, forms: str, numbered: tuple[str, ...] = ()) -> tuple[str, str, int]:
+    """Return kind, place, and number of a source, KIND:PLACE@NUMBER; the number is 0 where it is not given.
+
+    Parameters
+    ----------
+    forms : of sources, for messages
+    numbered : kinds that may have a number
+
+    Raises
+    ------
+    OptionError
+        If the number is none.
+    """
+    kind, _, place = text.partition(":")
+    if kind not in numbered or "@" not in place:
+        return kind, place, 0
+    place, _, number = place.rpartition("@")
+    return kind, place, _whole_number(text, number, forms)
+
+
+def _whole_number(text: str, number: str, forms: str) -> int:
     if not (number.isascii() and number.isdigit() and len(number) < 10):
-        raise OptionError(f"{text}: {number} is no whole number. Sources are named {_FORMS}.")
+        raise OptionError(f"{text}: {number} is no whole number. Sources are named {forms}.")
     return int(number)
+
+
+def _recorded(path: Path, units: Units | None) -> ImuSamples:
+    from ..readers.recordings import read
+
+    return read(path, units=units).imus["imu0"]
+
+
+class Pace:
+    """When what was recorded is due again; streams of one recording share it.
+
+    Parameters
+    ----------
+    speed : times as fast as it was recorded
+    """
+
+    def __init__(self, speed: int) -> None:
+        self._speed, self._began_s = max(speed, 1), 0.0
+        self.begin_ns = 0
+
+    def begins_at(self, t_ns: int) -> None:
+        """Take a stream into account, whose first stamp this is [ns]."""
+        self.begin_ns = min(self.begin_ns, t_ns) if self.begin_ns else t_ns
+
+    def wait_for(self, t_ns: int, stop: Event) -> bool:
+        """Wait until a stamp is due, and return whether it was stopped meanwhile."""
+        self._began_s = self._began_s or time.monotonic()
+        ahead_s = (t_ns - self.begin_ns) * 1e-9 / self._speed - (time.monotonic() - self._began_s)
+        return (ahead_s > 0.01 and stop.wait(ahead_s)) or stop.is_set()
 
 
 class _Splitter:
@@ -197,41 +245,32 @@ class UdpSource(LiveSource):
 
 
 class ReplaySource(LiveSource):
-    """A recording, sent again as fast as it was recorded, or some times faster.
+    """The samples of a recording, sent again as fast as it was recorded, or some times faster.
 
     Parameters
     ----------
-    path : of anything that `gnomon imu` reads
-    speed : times as fast
-    units : as far as they are stated
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be read.
+    imu : all of them
+    pace : how fast
     """
 
-    def __init__(self, path: Path, speed: int, units: Units | None) -> None:
+    def __init__(self, imu: ImuSamples, pace: Pace) -> None:
         super().__init__()
-        from ..readers.recordings import read
-
-        self._imu, self._speed = read(path, units=units).imus["imu0"], max(speed, 1)
+        triads = {"accelerometer": imu.accelerometer, "gyroscope": imu.gyroscope, "magnetometer": imu.magnetometer}
+        self._there = {name: triad for name, triad in triads.items() if triad is not None and len(triad)}
+        self._pace = pace
+        pace.begins_at(min(int(triad.t_ns[0]) for triad in self._there.values()))
 
     def arriving_lines(self, stop: Event) -> Iterator[Arrival]:
         """Yield a line for each sample, after one with the names of the columns."""
-        imu = self._imu
-        triads = {"accelerometer": imu.accelerometer, "gyroscope": imu.gyroscope, "magnetometer": imu.magnetometer}
-        there = {name: triad for name, triad in triads.items() if triad is not None and len(triad)}
+        there = self._there
         rows = sorted(_rows(there), key=lambda row: row[0])
-        begin_ns, began_s = rows[0][0], time.monotonic()
         for name in dict.fromkeys(stream for _, _, stream in rows):
             yield Arrival(_header({name: there[name]} if name else there), name)
         for t_ns, line, stream in rows:
-            ahead_s = (t_ns - begin_ns) * 1e-9 / self._speed - (time.monotonic() - began_s)
-            if ahead_s > 0.01 and stop.wait(ahead_s):
+            if self._pace.wait_for(t_ns, stop):
                 return
             yield Arrival(line, stream)
-        self.trouble = "The recording is at its end: stop."
+        self.trouble, self.ended = "The recording is at its end: stop.", True
 
 
 def _rows(triads: Mapping[str, TriadSamples]) -> Iterator[tuple[int, bytes, str]]:

@@ -182,7 +182,8 @@ def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
         run(["simulate", "cameras", "-o", name, "--cameras", "2", "--views", "10", *SMALL])
     shutil.copy("stereo/target.yaml", "target.yaml")
     run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
-    commands = list(shell_commands(tmp_path / "section.md"))
+    stated = list(shell_commands(tmp_path / "section.md"))
+    commands = [words for words in stated if words[0] != "live"]  # there is no camera here
     assert {"target", "camera", "camera-imu", "simulate"} == {words[0] for words in commands}
     here = {"/left/image_raw": "/cam0/image_raw", "/right/image_raw": "/cam1/image_raw"}
     for number, stated in enumerate(commands):

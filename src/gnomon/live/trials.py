@@ -1,0 +1,116 @@
+"""A calibration of what was recorded so far, in a process of its own, so that nothing waits for it.
+
+It is started with `python -P -m gnomon.live.trials`: in comes what is to be calibrated, out goes what came of it.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import dataclass, fields
+from threading import Thread
+
+from ..models.target import Target
+from ..options.requirements import Use
+from ..processes import python_command, python_environment
+from ..recording import Recording
+
+_NICE = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialOutcome:
+    """What came of a calibration.
+
+    Attributes
+    ----------
+    verdict : "pass", "warn" or "fail"
+    advice : what to do, by its most severe finding; "" where nothing is wrong
+    needs : what the use needs -> standard deviation over it
+    """
+
+    verdict: str
+    advice: str = ""
+    needs: tuple[tuple[str, float], ...] = ()
+
+
+class Trial:
+    """One calibration, at work from now on.
+
+    Parameters
+    ----------
+    recording : so far
+    target : the board
+    use : of cameras with an IMU, what they are for
+    """
+
+    def __init__(self, recording: Recording, target: Target, use: Use | None = None) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._message = pickle.dumps(
+            (recording, {f.name: getattr(target, f.name) for f in fields(target) if f.init}, use)
+        )
+        self.outcome: TrialOutcome | None = None
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether it came to an end; there is an outcome then, unless the process was lost."""
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """End it."""
+        if self._process is not None:
+            self._process.kill()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        command, place = python_command("gnomon.live.trials"), python_environment()
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=place
+        )
+        answer, _ = self._process.communicate(self._message)
+        if self._process.returncode == 0:
+            self.outcome = TrialOutcome(**pickle.loads(answer))
+
+
+def try_calibration(recording: Recording, target: Target, use: Use | None = None) -> TrialOutcome:
+    """Calibrate, and return what came of it; what fails is an outcome, too."""
+    from ..assess.needs import judge_for_use, needs_of_use
+    from ..calibrate import calibrate_camera_imu, calibrate_cameras
+    from ..errors import GnomonError
+
+    try:
+        if not recording.imus:
+            calibration = calibrate_cameras(recording, target).calibration
+        else:
+            calibration = judge_for_use(calibrate_camera_imu(recording, target).calibration, use)
+    except GnomonError as error:
+        return TrialOutcome(verdict="fail", advice=str(error))
+    findings = sorted(
+        (finding for finding in calibration.assessment.findings if finding.severity in {"problem", "warning"}),
+        key=lambda finding: finding.severity != "problem",
+    )
+    needs = () if use is None else needs_of_use(calibration, use)
+    return TrialOutcome(
+        verdict=calibration.verdict,
+        advice=f"{findings[0].message} {findings[0].cure}" if findings else "",
+        needs=tuple((need.block, need.sigma / need.needed) for need in needs),
+    )
+
+
+def answer_request() -> None:
+    """Answer what comes over the standard input."""
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever a library prints must not come between
+    recording, target, use = pickle.load(sys.stdin.buffer)
+    outcome = try_calibration(recording, Target(**target), use)
+    found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
+    pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
+    answers.flush()
+
+
+if __name__ == "__main__":
+    answer_request()
