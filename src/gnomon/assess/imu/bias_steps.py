@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from ...estimate.multiposition.model import PARAMETERS
+from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.imu_diagnostics import BiasSegments, ImuDiagnostics
 from ..checks.protocol import significant_cluster
 from .imu_tables import ImuFitSummary, interval_numbers
 
+_TRIADS, _BIASES = ("gyroscope", "accelerometer"), (slice(21, 24), slice(9, 12))
+_SEEN = 0.3  # of the bias's sigma, from which on a course is worth a word
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
 _MOSTLY = 0.5  # of a variance
@@ -18,40 +20,33 @@ _SHORT = 5  # static intervals: fewer tell the published bias from little
 def changes_in_model(evidence: ImuFitSummary) -> tuple[str, ...]:
     """Return what the biases follow in time, such as ("drift", "accelerometer bias steps")."""
     found: list[str] = []
-    for triad, functions in (
-        ("", evidence.fit.data.of_gyroscope),
-        ("accelerometer ", evidence.fit.data.of_accelerometer),
-    ):
-        if functions.of_kind("walk", "line", "warm-up").any():
+    for k, triad in enumerate(("", "accelerometer ")):
+        if _course(evidence, k) is not None:
             found.append(f"{triad}drift")
-        if functions.of_kind("step").any():
+        if _functions(evidence, k).of_kind("step").any():
             found.append(f"{triad}bias steps")
     return tuple(found)
 
 
 def drift_findings(evidence: ImuFitSummary) -> list[Finding]:
     """Say how far the biases wandered or warmed up, where they did."""
-    fit, findings = evidence.fit, list[Finding]()
-    for k, triad in enumerate(("gyroscope", "accelerometer")):
-        functions = (fit.data.of_gyroscope, fit.data.of_accelerometer)[k]
-        per_si = _per_si(evidence, triad)
-        smooth = functions.of_kind("walk", "line", "warm-up")
-        if not smooth.any():
+    findings = list[Finding]()
+    for k, triad in enumerate(_TRIADS):
+        moved = _course(evidence, k)
+        if moved is None:
             continue
-        moved = functions.at_rest[:, smooth] @ _coefficients(evidence, k)[smooth] / per_si
-        size = float(np.abs(moved).max())
-        if functions.of_kind("warm-up").any():
+        if _functions(evidence, k).of_kind("warm-up").any():
             findings.append(
                 make_finding(
                     "warm-up",
                     triad=triad,
                     moved=_shown(triad, float(np.ptp(moved, axis=0).max())),
-                    warm_up_s=fit.changes[k].warm_up_s,
+                    warm_up_s=evidence.fit.changes[k].warm_up_s,
                 )
             )
-        elif size > 0:
-            findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, size)))
-    for triad, own in (("gyroscope", slice(21, 24)), ("accelerometer", slice(9, 12))):
+        else:
+            findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, float(np.abs(moved).max()))))
+    for triad, own in zip(_TRIADS, _BIASES, strict=True):
         unseen, sigma = evidence.unseen_sigma[own], np.sqrt(np.diag(evidence.estimate.covariance)[own])
         if np.any(unseen**2 > _MOSTLY * sigma**2):
             size = float(np.max(unseen / _per_si(evidence, triad)))
@@ -151,6 +146,22 @@ def _step_finding(evidence: ImuFitSummary, one: BiasSegments) -> Finding:
         parts="; ".join(parts[-_SHOWN:]),
         short=_SHORT,
     )
+
+
+def _course(evidence: ImuFitSummary, k: int) -> Floats | None:
+    """Return how a bias wandered or warmed up over the rests, (n, 3) [SI]; None where less than its sigma shows."""
+    functions = _functions(evidence, k)
+    smooth = functions.of_kind("walk", "line", "warm-up")
+    if not smooth.any():
+        return None
+    moved = functions.at_rest[:, smooth] @ _coefficients(evidence, k)[smooth]
+    sigma = np.sqrt(np.diag(evidence.estimate.covariance)[_BIASES[k]])
+    return moved / _per_si(evidence, _TRIADS[k]) if np.any(np.abs(moved) > _SEEN * sigma) else None
+
+
+def _functions(evidence: ImuFitSummary, k: int) -> BiasFunctions:
+    """Return the functions of time of the gyroscope's bias (k = 0) or the accelerometer's (1)."""
+    return (evidence.fit.data.of_gyroscope, evidence.fit.data.of_accelerometer)[k]
 
 
 def _coefficients(evidence: ImuFitSummary, k: int) -> Floats:
