@@ -119,6 +119,19 @@ def test_samples_that_arrive_in_bursts() -> None:
     assert severities(with_stamps(samples, arrival))["jitter"] == "warning"
 
 
+def test_a_rate_that_changes_once_is_named_with_its_time() -> None:
+    samples = imu()
+    number = np.arange(len(samples.gyroscope))
+    once = np.cumsum(np.where(number < 5000, 10_000_000, 25_000_000))
+    found = findings(with_stamps(samples, once))
+    assert found["rate-changed"].message == (
+        "imu0: from sample 4999 (49.990 s after the start) on, the rate is 40 Hz; before it is 100 Hz."
+    )
+    assert not {"jitter", "time-rounded"} & set(found)
+    to_and_fro = np.cumsum(np.where(number // 2500 % 2, 10_000_000, 25_000_000))
+    assert "rate-changed" not in findings(with_stamps(samples, to_and_fro))
+
+
 def test_jitter_of_a_few_percent_is_good() -> None:
     samples = imu()
     noise = np.random.default_rng(0).normal(0, 300_000, len(samples.gyroscope)).astype(np.int64)

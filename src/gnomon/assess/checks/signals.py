@@ -44,10 +44,11 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
     spread = 1.4826 * float(np.median(np.abs(dt - period)))
     steps = _Steps(dt=dt, period=period, spread=spread)
     gaps = _gaps(samples, steps, label)
-    irregular = [finding for finding in gaps if finding.code == "jitter"]
+    irregular = [finding for finding in gaps if finding.code in {"jitter", "rate-changed"}]
     findings = [*_backward(samples, steps, label), *irregular, *_repeated(steps, label)]
     findings += [] if irregular else gaps
-    findings += _rounded(samples, steps, label)
+    if all(finding.code != "rate-changed" for finding in irregular):
+        findings += _rounded(samples, steps, label)
     if not any(finding.severity in {"warning", "problem"} for finding in findings):
         findings.insert(
             0,
@@ -110,6 +111,9 @@ def _repeated(steps: _Steps, label: str) -> list[Finding]:
 
 
 def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    if (changed := _rate_change(steps)) is not None:
+        first, rates = changed
+        return [make_finding("rate-changed", label=label, at=_at(samples, first), before=rates[0], after=rates[1])]
     mean = (samples.t_ns[-1] - samples.t_ns[0]) / (len(samples) - 1)
     limit = _GAP_PERIODS * steps.period + 3 * steps.spread
     gaps = np.flatnonzero(steps.dt > limit)
@@ -145,6 +149,20 @@ def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
             at=_at(samples, longest),
         )
     ]
+
+
+def _rate_change(steps: _Steps) -> tuple[int, tuple[float, float]] | None:
+    """Return the sample from which on another rate holds, and both rates [Hz]; None where it is not one change."""
+    away = np.cumsum(steps.dt - steps.dt.mean())
+    k = int(np.argmax(np.abs(away))) + 1
+    sides = steps.dt[:k], steps.dt[k:]
+    if min(len(side) for side in sides) < _BLOCK:
+        return None
+    before, after = (float(np.median(side)) for side in sides)
+    for side, period in zip(sides, (before, after), strict=True):
+        if np.mean(np.abs(side - period) > _JITTER * period) > _LOST_SHARE:
+            return None
+    return (k, (1e9 / before, 1e9 / after)) if abs(before - after) > _JITTER * min(before, after) else None
 
 
 def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
