@@ -1,11 +1,14 @@
 """Cameras and an IMU calibrated in a rendered room, without a board; and rooms in which that is refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import gnomon
+from gnomon.calibrate.steps import landmark_map
+from gnomon.calibrate.steps.camera_imu_reading import _mapped
 from gnomon.calibrate.steps.landmark_map import map_landmarks
 from gnomon.errors import DetectionError, InitialisationError, RecordingError
 from gnomon.formats.kalibr.camchain import CameraInput
@@ -76,6 +79,22 @@ def test_painted_walls_are_refused():
 def test_a_rig_that_never_turned_is_refused():
     with pytest.raises(InitialisationError, match="do not show the same rotation"):
         mapped(replace(SMALL, motion="translation", duration_s=4.0))
+
+
+def test_too_few_landmarks_are_refused(monkeypatch):
+    monkeypatch.setattr(landmark_map, "_chosen_sightings", lambda _: np.arange(3))
+    with pytest.raises(DetectionError, match="only 3 landmarks"):
+        mapped(replace(SMALL, duration_s=3.0))
+
+
+def test_of_several_cameras_the_first_is_calibrated_and_the_others_are_told_how(monkeypatch):
+    monkeypatch.setattr(landmark_map, "map_landmarks", lambda *_: ("frames", "landmarks", ()))
+    images = SimpleNamespace(imus={"imu0": None}, streams={"cam0": None, "cam1": None})
+    notes: list[str] = []
+    cameras, _, _ = _mapped(images, {"cam0": None, "cam1": None}, print, notes)
+    assert list(cameras) == ["cam0"]
+    (note,) = notes
+    assert "For cam1 give --cam a file of cam1 alone" in note
 
 
 def test_images_of_another_size_are_refused():

@@ -135,7 +135,11 @@ def _mapped(
     frames, landmarks, scene = map_landmarks(
         name, images.streams[name], known[name], next(iter(images.imus.values())), tell
     )
-    notes.extend(f"the images of {other} were left out: without a board one camera is used." for other in others)
+    notes.extend(
+        f"the images of {other} were left out: without a board one camera is calibrated, {name}. For {other} give "
+        f"--cam a file of {other} alone; the pose of both to each other gnomon camera finds before a board."
+        for other in others
+    )
     return {name: frames}, landmarks, scene
 
 

@@ -129,6 +129,8 @@ def map_landmarks(
     tell("finding where the camera went, and the landmarks")
     scene, at = _first_scene(name, tracks, known.camera, motion)
     rows = _chosen_sightings(scene)
+    if len(rows) < _FEWEST_LANDMARKS:
+        raise DetectionError(_UNSETTLED.format(name=name, count=len(rows)))
     landmarks, anchors = _cut(images, known.camera, scene, at[scene.key[rows]], rows), scene.key[rows]
     found = _found_again(images, landmarks, at, (scene.R, scene.p), _REACH_PX)
     scene = replace(

@@ -85,7 +85,9 @@ def _linearized(
 
 
 def _scatter(residual: Floats) -> float:
-    return max(float(np.nanmedian(np.linalg.norm(residual, axis=1))) / np.sqrt(2 * np.log(2)), 1e-3)
+    off = np.linalg.norm(residual, axis=1)
+    seen = np.isfinite(off)
+    return max(float(np.median(off[seen])) / np.sqrt(2 * np.log(2)), 1e-3) if seen.any() else _FAR_PX
 
 
 def _cost(residual: Floats, sigma: float) -> Floats:
