@@ -304,6 +304,13 @@ def with_value(values, row: int, value: float):
         (changed(accelerometer={"values": FORCE / 9.81}), "gravity-magnitude", "problem"),
         (changed(accelerometer={"values": FORCE - [0, 9.6, 0]}), "gravity-magnitude", "problem"),
         (changed(accelerometer={"values": FORCE * 1.4}), "gravity-magnitude", "warning"),
+        (
+            changed(
+                accelerometer={"values": FORCE * np.where(np.arange(len(FORCE)) > 0.6 * len(FORCE), 2, 1)[:, None]}
+            ),
+            "range-changed",
+            "problem",
+        ),
         (changed(gyroscope={"values": np.degrees(RATE)}), "rate-magnitude", "warning"),
         (changed(gyroscope={"values": np.radians(RATE)}), "rate-magnitude", "warning"),
         (changed(gyroscope={"values": NOISE}), "gyroscope-silent", "problem"),

@@ -55,13 +55,13 @@ def test_a_changed_range_is_found_and_every_rest_counted(imu, factor, share) -> 
 def test_the_side_that_reads_gravity_is_kept_where_it_has_enough_rests() -> None:
     starts = np.arange(40) * 100
     rests = StaticIntervals(start=starts, stop=starts + 50)
-    values = np.where(np.arange(4000)[:, None] < 1500, [[0.0, 0.0, 9.8]], [[0.0, 0.0, 19.6]])
-    kept = [find_range_change(values, rests, gravity, 10) for gravity in (9.8, 19.6, None)]
+    read = np.where(np.arange(40) < 15, 9.8, 19.6)
+    kept = [find_range_change(read, rests, 4000, gravity, 10) for gravity in (9.8, 19.6, None)]
     assert [change is not None and change.kept[0] == 0 for change in kept] == [True, False, False]
-    few = find_range_change(values, rests, 9.8, 16)
+    few = find_range_change(read, rests, 4000, 9.8, 16)
     assert few is not None
     assert few.kept[0] > 0
-    assert find_range_change(values[:, [2, 2, 2]] * 0 + 9.8, rests, 9.8, 10) is None
+    assert find_range_change(np.full(40, 9.8), rests, 4000, 9.8, 10) is None
 
 
 def test_rests_that_shake_more_are_counted_as_not_used(imu) -> None:

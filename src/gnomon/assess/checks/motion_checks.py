@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...detect.samples.range_change import RangeChange, find_range_change
 from ...findings import Finding, make_finding
-from ...recording import ImuSamples, TriadSamples, measurable_numbers
+from ...recording import Floats, ImuSamples, TriadSamples, measurable_numbers
+from ...results.intervals import StaticIntervals
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
-from .protocol import looks_like, why_no_gravity
+from .protocol import looks_like, range_changed_finding, why_no_gravity
 from .signals import check_signal, check_stamps, check_vibration, is_silent
 
 _SLOW_HZ, _SLOWEST_HZ = 50.0, 10.0
@@ -15,7 +17,7 @@ _SHORT_S = 5.0
 _PLAUSIBLE, _POSSIBLE = 1.2, 2.0  # median specific force over gravity, or the inverse
 _FASTEST_RAD_S = 35.0  # the full scale of usual gyroscopes, 2000 deg/s
 _STILL_RAD_S, _SLOWEST_RAD_S = 0.05, 0.1
-_SWING_S = 0.3
+_SWING_S, _SWINGS = 0.3, 9
 
 _RETOLD = {
     "gaps": ("There the trajectory rests on the other sensors alone.", "Record with a faster link or a lower rate."),
@@ -39,8 +41,8 @@ _RETOLD = {
 def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     """Return findings on the samples of an IMU that moved in front of a board; linear time.
 
-    Codes: samples-missing, samples-lost, unit, imu-rate, stream-short, gravity-magnitude, rate-magnitude,
-    gyroscope-silent, imu-still, and those of the timestamps and the signals.
+    Codes: samples-missing, samples-lost, unit, imu-rate, stream-short, gravity-magnitude, range-changed,
+    rate-magnitude, gyroscope-silent, imu-still, and those of the timestamps and the signals.
     """
     unusable = _unusable(name, imu)
     if unusable:
@@ -114,7 +116,11 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
     width = max(1, min(round(_SWING_S * accelerometer.rate_hz), len(accelerometer) // 10))
     parts = len(accelerometer) // width
     means = accelerometer.values[: parts * width].reshape(parts, width, 3).mean(axis=1)  # shaking averages out
-    found = float(np.median(np.linalg.norm(means, axis=1)))
+    read = np.linalg.norm(means, axis=1)
+    change = _range_change(read, width, len(accelerometer))
+    if change is not None:
+        return [range_changed_finding(change, accelerometer, name, "problem")]
+    found = float(np.median(read))
     ratio = max(found, 1e-9) / STANDARD_GRAVITY_M_S2
     ratio = max(ratio, 1 / ratio)
     message = f"{name}: the accelerometer usually reads {found:.3f} m/s^2, expected about 9.81."
@@ -129,6 +135,21 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
             found=why_no_gravity(found, message),
         )
     ]
+
+
+def _range_change(read: Floats, width: int, samples: int) -> RangeChange | None:
+    """Return where gravity is read as another number, by medians over several swings of the hand.
+
+    Parameters
+    ----------
+    read : (m,) magnitude of the mean over each swing [m/s^2]
+    width : samples of a swing
+    samples : of the recording
+    """
+    parts = len(read) // _SWINGS
+    starts = _SWINGS * width * np.arange(parts)
+    stretches = StaticIntervals(start=starts, stop=starts + _SWINGS * width)
+    return find_range_change(np.median(read[: parts * _SWINGS].reshape(parts, _SWINGS), axis=1), stretches, samples)
 
 
 def _motion(name: str, imu: ImuSamples) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -108,7 +109,8 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     attitudes, radius = distinct_attitudes(means, accelerometer)
     findings = _gravity(means, radius, accelerometer, label)
     if detection is not None and detection.range_change is not None:
-        findings.insert(0, _range_changed(detection.range_change, accelerometer, label, findings))
+        severity = "problem" if any(one.severity == "problem" for one in findings) else "warning"
+        findings.insert(0, range_changed_finding(detection.range_change, accelerometer, label, severity))
     if unrest > _UNSTEADY:
         findings.append(make_finding("rests-unsteady", label=label, unrest=unrest))
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
@@ -273,12 +275,14 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
     ]
 
 
-def _range_changed(change: RangeChange, accelerometer: TriadSamples, label: str, gravity: list[Finding]) -> Finding:
-    """Return that the reading of gravity changed; a problem where the side that is kept does not read gravity."""
+def range_changed_finding(
+    change: RangeChange, accelerometer: TriadSamples, label: str, severity: Literal["warning", "problem"]
+) -> Finding:
+    """Return that the accelerometer reads gravity as another number from an instant on."""
     t_s = accelerometer.t_s
     return make_finding(
         "range-changed",
-        severity="problem" if any(one.severity == "problem" for one in gravity) else "warning",
+        severity=severity,
         label=label,
         factor=change.factor,
         t_from_s=t_s[change.last],

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import StaticIntervals, interval_means
+from ...results.intervals import StaticIntervals
 
 _FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
 _ALIKE = 0.25  # of a side's median: scales of raw counts differ by that from axis to axis
@@ -33,22 +33,22 @@ class RangeChange:
     kept: tuple[int, int]
 
 
-def find_range_change(values: Floats, rests: StaticIntervals, gravity: float | None, enough: int) -> RangeChange | None:
-    """Return the one instant from which on rests read another magnitude; None where all read about the same.
+def find_range_change(
+    read: Floats, parts: StaticIntervals, samples: int, gravity: float | None = None, enough: int = 0
+) -> RangeChange | None:
+    """Return the one instant from which on gravity is read as another number; None where all read about the same.
 
     The side that reads gravity is kept where it has enough rests, else the one with more of them.
 
     Parameters
     ----------
-    values : (n, 3) of the accelerometer [unit]
-    rests : in order of time, found whatever their noise
+    read : (m,) magnitude of gravity as each part read it [unit]
+    parts : (m,) rests in order of time, found whatever their noise, or stretches of a motion
+    samples : number of samples of the recording
     gravity : in that unit; None for counts
     enough : number of rests that determine a calibration
     """
-    if len(rests) < 2 * _FEWEST:
-        return None
-    read = np.linalg.norm(interval_means(values, rests), axis=1)
-    if not (read > 0).all():
+    if len(read) < 2 * _FEWEST or not (read > 0).all():
         return None
     logs = np.log(read)
     away = np.cumsum(logs - logs.mean())[_FEWEST - 1 : -_FEWEST]
@@ -60,11 +60,11 @@ def find_range_change(values: Floats, rests: StaticIntervals, gravity: float | N
     apart = np.quantile(low, 1 - _FEW) < np.quantile(high, _FEW)
     if not (alike and apart) or max(before, after) < _FACTOR * min(before, after):
         return None
-    last, first = int(rests.stop[k - 1]) - 1, int(rests.start[k])
+    last, first = int(parts.stop[k - 1]) - 1, int(parts.start[k])
     middle = (last + first + 1) // 2
-    counts = (k, len(rests) - k)
+    counts = (k, len(read) - k)
     errors = [abs(np.log(one / gravity)) if gravity else 0.0 for one in (before, after)]
     best = min((0, 1), key=lambda side: (counts[side] < enough, errors[side] > np.log(_FACTOR), -counts[side]))
     return RangeChange(
-        last=last, first=first, factor=after / before, kept=(0, middle) if best == 0 else (middle, len(values))
+        last=last, first=first, factor=after / before, kept=(0, middle) if best == 0 else (middle, samples)
     )

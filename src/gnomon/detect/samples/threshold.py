@@ -114,7 +114,11 @@ def _range_change(samples: TriadSamples, rests: tuple[Rests, ...], gravity_m_s2:
     """Return the change that one of several sets of rests shows: loud rests are in one, quiet ones apart in another."""
     unit = ACCELEROMETER_UNITS_M_S2[samples.unit]
     gravity = gravity_m_s2 / unit if unit else None
-    changes = (find_range_change(samples.values, some.found, gravity, FEWEST_INTERVALS + 1) for some in rests)
+    reads = [np.linalg.norm(interval_means(samples.values, some.found), axis=1) for some in rests]
+    changes = (
+        find_range_change(read, some.found, len(samples), gravity, FEWEST_INTERVALS + 1)
+        for read, some in zip(reads, rests, strict=True)
+    )
     return next((change for change in changes if change is not None), None)
 
 
