@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,6 +63,25 @@ def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
     together = steps[steps < max(_LONGEST_PAUSE_NS / unit_ns, step)]  # what was cut out between poses is no pause
     mean = float(np.mean(together)) if len(together) else step
     return mean if mean > _PACKET_FACTOR * step else step
+
+
+_RATES: dict[int, tuple["ref[Integers]", float]] = {}
+
+
+def usual_rate(t_ns: Integers) -> float:
+    """Return the sample rate of timestamps (n,) that nobody can change [Hz], from `usual_step`; nan if unknown.
+
+    Everybody asks for it, and a median of millions takes its time: it is kept for as long as the array lives.
+    """
+    known = _RATES.get(id(t_ns))
+    if known is not None and known[0]() is t_ns:
+        return known[1]
+    step = usual_step(np.diff(t_ns)) if len(t_ns) > 1 else 0.0
+    rate_hz = 1e9 / step if step > 0 else float("nan")
+    if not t_ns.flags.writeable:
+        key = id(t_ns)
+        _RATES[key] = (ref(t_ns, lambda _: _RATES.pop(key, None)), rate_hz)
+    return rate_hz
 
 
 _LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that

@@ -8,7 +8,7 @@ from ..errors import RecordingError
 from ..frozen import value_class
 from ..models.noise import ImuNoise
 from ..units import TEMPERATURE_UNITS_DEGC
-from .arrays import Floats, Integers, frozen_array, usual_step
+from .arrays import Floats, Integers, frozen_array, usual_rate
 from .dataframes import make_dataframe
 
 
@@ -58,10 +58,7 @@ class TriadSamples:
     @property
     def rate_hz(self) -> float:
         """Sample rate [Hz]: by the median step, or the mean where samples were stamped in packets; nan if unknown."""
-        if len(self) < 2:
-            return float("nan")
-        step = usual_step(np.diff(self.t_ns))
-        return 1e9 / step if step > 0 else float("nan")
+        return usual_rate(self.t_ns)
 
     @property
     def duration_s(self) -> float:
