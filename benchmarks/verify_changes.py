@@ -2,6 +2,7 @@
 
     python benchmarks/verify_changes.py                     24 changes, 5 recordings each, and 100 that hold
     python benchmarks/verify_changes.py --seeds 2 --healthy 10 --only gyroscope
+    python benchmarks/verify_changes.py --of cameras field --healthy 40    two cameras alone, a magnetometer
 
 A calibration is made from one simulated recording; a number of it is changed; a fresh recording of 30 to 40 s of the
 same sensor verifies it. Named: the block that was changed is among those that moved. z: of its size.
@@ -21,7 +22,16 @@ import numpy as np
 
 import gnomon
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
+from gnomon.simulate import (
+    CameraImuScenario,
+    CamerasScenario,
+    FieldScenario,
+    Scenario,
+    simulate,
+    simulate_camera_imu,
+    simulate_cameras,
+    simulate_magnetometer,
+)
 
 SHORT = {"intervals": 12, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
 Change = Callable[[Any], Any]
@@ -43,6 +53,22 @@ def of_rig(seed: int):
     return calibration, second.recording, second.target
 
 
+@cache
+def of_cameras(seed: int):
+    scenario = CamerasScenario(cameras=2)
+    first = simulate_cameras(scenario, seed)
+    second = simulate_cameras(replace(scenario, views=25), seed + 5000)
+    calibration = gnomon.calibrate_cameras(first.recording, first.target).calibration
+    return calibration, second.recording, second.target
+
+
+@cache
+def of_field(seed: int):
+    scenario = FieldScenario(sensor_seed=seed)
+    calibration = gnomon.calibrate_magnetometer(simulate_magnetometer(scenario, seed)[0]).calibration
+    return calibration, simulate_magnetometer(replace(scenario, duration_s=40.0), seed + 5000)[0], None
+
+
 def triad(name: str, **change: Change) -> Change:
     def changed(calibration: Any) -> Any:
         imu = calibration.imus["imu0"]
@@ -53,13 +79,31 @@ def triad(name: str, **change: Change) -> Change:
     return changed
 
 
-def camera(**change: Change) -> Change:
+def camera(of: str = "cam0", **change: Change) -> Change:
     def changed(calibration: Any) -> Any:
-        one = calibration.cameras["cam0"]
+        one = calibration.cameras[of]
         moved = {field: how(getattr(one, field)) for field, how in change.items()}
-        return replace(calibration, cameras={"cam0": replace(one, **moved)})
+        return replace(calibration, cameras={**calibration.cameras, of: replace(one, **moved)})
 
     return changed
+
+
+def refocused(*by: float) -> Change:
+    """Return a change of fu, fv [relative], pu, pv [px]."""
+
+    def change(lens: Any) -> Any:
+        values = lens.parameters.copy()
+        values[:4] += np.array([values[0] * by[0], values[1] * by[1], by[2], by[3]])
+        return lens.with_parameters(values)
+
+    return change
+
+
+def exchanged(calibration: Any) -> Any:
+    """Return the calibration of two cameras as it is where their plugs are exchanged."""
+    zero, one = calibration.cameras["cam0"], calibration.cameras["cam1"]
+    turned_back = replace(one, camera=zero.camera, T_cam_body=np.linalg.inv(one.T_cam_body))
+    return replace(calibration, cameras={"cam0": replace(zero, camera=one.camera), "cam1": turned_back})
 
 
 def scaled(*factors: float) -> Change:
@@ -95,7 +139,7 @@ def posed(
     return change
 
 
-IMU: dict[str, tuple[str, Change]] = {
+IMU: dict[str, tuple[str | tuple[str, ...], Change]] = {
     "gyroscope scale x 0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1.002, 1, 1))),
     "gyroscope scale z -0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1, 1, 0.998))),
     "gyroscope scale, all 0.2 %": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1.002, 1.002, 1.002))),
@@ -112,7 +156,7 @@ IMU: dict[str, tuple[str, Change]] = {
     "sign of a gyroscope axis": ("gyroscope.scale", triad("gyroscope", sensitivity=scaled(1, -1, 1))),
     "sign of an accelerometer axis": ("accelerometer.scale", triad("accelerometer", sensitivity=scaled(1, 1, -1))),
 }
-RIG: dict[str, tuple[str, Change]] = {
+RIG: dict[str, tuple[str | tuple[str, ...], Change]] = {
     "R_cb 0.1 deg": ("cam0.rotation", camera(T_cam_body=posed((0, 0.1, 0)))),
     "R_cb 0.1 deg about z": ("cam0.rotation", camera(T_cam_body=posed((0, 0, 0.1)))),
     "t 2 mm along x": ("cam0.translation", camera(T_cam_body=posed(way_m=(0.002, 0, 0)))),
@@ -123,6 +167,29 @@ RIG: dict[str, tuple[str, Change]] = {
     "rig: gyroscope turned 0.2 deg": ("gyroscope.rotation", triad("gyroscope", sensitivity=turned((0, 1, 0), 0.2))),
     "rig: gyroscope bias 1.7 deg/s": ("gyroscope.bias", triad("gyroscope", bias=shifted(0.03, 0, 0))),
 }
+
+
+CAMERAS: dict[str, tuple[str | tuple[str, ...], Change]] = {
+    "cam0: focal length 0.2 %": ("cam0.lens", camera(camera=refocused(0.002, 0.002, 0, 0))),
+    "cam1: focal length -0.2 %": ("cam1.lens", camera("cam1", camera=refocused(-0.002, -0.002, 0, 0))),
+    "cam0: principal point 2 px": ("cam0.lens", camera(camera=refocused(0, 0, 2, 0))),
+    "cam1: principal point -2 px": ("cam1.lens", camera("cam1", camera=refocused(0, 0, 0, -2))),
+    "baseline 2 %": ("cam0.translation", camera("cam1", T_cam_body=posed(way_m=(0.0022, 0, 0)))),
+    "cam1 moved 2 mm along z": ("cam0.translation", camera("cam1", T_cam_body=posed(way_m=(0, 0, 0.002)))),
+    "cam1 turned 0.1 deg about y": ("cam0.rotation", camera("cam1", T_cam_body=posed((0, 0.1, 0)))),
+    "cam1 turned 0.1 deg about z": ("cam0.rotation", camera("cam1", T_cam_body=posed((0, 0, 0.1)))),
+    "cameras exchanged": ("cam0.translation", exchanged),
+}
+SHAPE = ("magnetometer.scale", "magnetometer.misalignment", "magnetometer.rotation")
+FIELD: dict[str, tuple[str | tuple[str, ...], Change]] = {
+    "hard iron 1.5 uT along x": ("magnetometer.bias", triad("magnetometer", bias=shifted(1.5, 0, 0))),
+    "hard iron 1.5 uT along z": ("magnetometer.bias", triad("magnetometer", bias=shifted(0, 0, -1.5))),
+    "soft iron, z 3 %": (SHAPE[:1], triad("magnetometer", sensitivity=scaled(1, 1, 1.03))),
+    "soft iron, xy 3 %": (SHAPE, triad("magnetometer", sensitivity=lambda m: m @ (np.eye(3) + 0.03 * MIXED))),
+    "sign of a magnetometer axis": (SHAPE[:1], triad("magnetometer", sensitivity=scaled(1, -1, 1))),
+}
+MIXED = np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+SENSORS = {"imu": (of_imu, IMU), "rig": (of_rig, RIG), "cameras": (of_cameras, CAMERAS), "field": (of_field, FIELD)}
 
 
 def verified(make: Callable[[int], Any], seed: int, change: Change = lambda same: same):
@@ -140,9 +207,10 @@ def main() -> None:
     parser.add_argument("--healthy", type=int, default=100)
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--only", default="")
+    parser.add_argument("--of", nargs="+", choices=SENSORS, default=["imu", "rig"])
     stated = parser.parse_args()
     named = total = 0
-    for make, changes in ((of_imu, IMU), (of_rig, RIG)):
+    for make, changes in (SENSORS[of] for of in stated.of):
         for name, (path, change) in changes.items():
             if stated.only not in name:
                 continue
@@ -160,9 +228,13 @@ def main() -> None:
             print(f"{name:32s} named {sum(said)} of {len(said)}  {z}  {np.median(cpu):.2f} s", flush=True)
     print(f"named {named} of {total}")
     states: dict[str, int] = {}
+    kinds = ["rig", "imu", "imu", "imu"] if stated.of == ["imu", "rig"] else stated.of
     for seed in range(stated.first, stated.first + stated.healthy):
-        found = verified(of_imu if seed % 4 else of_rig, seed)[0]
+        of = kinds[seed % len(kinds)]
+        found = verified(SENSORS[of][0], seed)[0]
         states[found.state] = states.get(found.state, 0) + 1
+        if found.state == "moved":
+            print(f"seed {seed} of {of}: {[block.path for block in found.moved]}")
     print(f"that hold: {states}")
 
 

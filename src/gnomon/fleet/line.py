@@ -85,7 +85,8 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += doubles
     table = table.rows(rows)
     serials = [entry.serial for entry in table.entries]
-    first = sorted(dict(zip(reversed(serials), range(len(serials) - 1, -1, -1), strict=True)).values())
+    first_of = dict(zip(reversed(serials), range(len(serials) - 1, -1, -1), strict=True))
+    first = np.array(sorted(first_of.values()), dtype=np.int64)
     values = table.values.copy()
     found += _other_gravity(table, values)
     found += _wrong_units(table, values)
@@ -105,7 +106,7 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += _outliers(table, z, limit, first)
     return LineAssessment(
         table=table,
-        first=tuple(first),
+        first=tuple(first.tolist()),
         populations=populations,
         reproducibility=reproducibility,
         repeats=repeats,
@@ -195,7 +196,7 @@ def _wrong_units(table: LineTable, values: Floats) -> Iterator[Finding]:
 # ---- stations and time ----
 
 
-def _weighted(table: LineTable, rows: Sequence[int], k: int) -> tuple[Floats, Floats]:
+def _weighted(table: LineTable, rows: Integers, k: int) -> tuple[Floats, Floats]:
     """Return values, drawn in to the limits of the population, and their variances about its mean, of one scalar."""
     y, s = table.values[rows, k], table.sigmas[rows, k]
     limit = normal_limit(CHANCE / max(len(rows), 1))
@@ -205,14 +206,14 @@ def _weighted(table: LineTable, rows: Sequence[int], k: int) -> tuple[Floats, Fl
     return np.clip(y, known.mean - reach, known.mean + reach), variances
 
 
-def _station_offsets(table: LineTable, first: Sequence[int]) -> list[tuple[int, GroupOffset]]:
+def _station_offsets(table: LineTable, first: Integers) -> list[tuple[int, GroupOffset]]:
     """Return stations that are off, the most certain first, and take their offsets off the values."""
     stations = [entry.station for entry in table.entries]
     names = list(dict.fromkeys(stations))
     limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
     pairs, labels = _repeats(table.entries), np.array(stations)
-    of_first = [stations[row] for row in first]
+    of_first = [stations[row] for row in first.tolist()]
     for _ in names[1:]:
         offsets: dict[str, dict[int, GroupOffset]] = {}
         for k in range(len(table.names)):
@@ -267,10 +268,9 @@ def _repeats(entries: Sequence[LibraryEntry]) -> Integers:
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _changes_in_time(table: LineTable, first: Sequence[int]) -> list[tuple[int, TimeChange]]:
+def _changes_in_time(table: LineTable, rows: Integers) -> list[tuple[int, TimeChange]]:
     """Return steps and drifts of the line, the most certain first, and take them off the values."""
-    rows = list(first)
-    days = days_of([table.entries[row] for row in rows])
+    days = days_of([table.entries[row] for row in rows.tolist()])
     every_day = days_of(table.entries)
     limit = normal_limit(CHANCE / max(2 * len(table.names) * len(rows), 1))
     found: list[tuple[int, TimeChange]] = []
@@ -288,7 +288,7 @@ def _changes_in_time(table: LineTable, first: Sequence[int]) -> list[tuple[int, 
     return found
 
 
-def _course(change: TimeChange, rows: Sequence[int], days: Floats) -> Floats:
+def _course(change: TimeChange, rows: Integers, days: Floats) -> Floats:
     """Return what a change adds to each result of the line (n,)."""
     if change.kind == "step":
         return np.where(np.arange(len(days)) >= rows[change.at], change.size, 0.0)
@@ -296,8 +296,7 @@ def _course(change: TimeChange, rows: Sequence[int], days: Floats) -> Floats:
     return change.size * (days - days[rows].min()) / span
 
 
-def _population(table: LineTable, first: Sequence[int], k: int, limit: float) -> Population:
-    rows = list(first)
+def _population(table: LineTable, rows: Integers, k: int, limit: float) -> Population:
     return robust_population(table.values[rows, k], table.sigmas[rows, k], limit)
 
 
@@ -319,7 +318,7 @@ def _station_finding(table: LineTable, k: int, offset: GroupOffset) -> Finding:
     )
 
 
-def _time_finding(table: LineTable, first: Sequence[int], k: int, change: TimeChange) -> Finding:
+def _time_finding(table: LineTable, first: Integers, k: int, change: TimeChange) -> Finding:
     at = table.entries[first[change.at]]
     name, unit, z = table.names[k], table.units[k], abs(change.z)
     if change.kind == "step":
@@ -394,10 +393,11 @@ def _confused(table: LineTable, pairs: Integers, of: dict[int, str]) -> Iterator
         )
 
 
-def _outliers(table: LineTable, z: Floats, limit: float, first: Sequence[int]) -> Iterator[Finding]:
+def _outliers(table: LineTable, z: Floats, limit: float, first: Integers) -> Iterator[Finding]:
     size = np.nan_to_num(np.abs(z))
-    beyond = [row for row in first if size[row].max(initial=0.0) > limit]
-    for row in sorted(beyond, key=lambda row: -size[row].max())[:_MOST_NAMED]:
+    worst = size.max(axis=1, initial=0.0)
+    beyond = [row for row in first.tolist() if worst[row] > limit]
+    for row in sorted(beyond, key=lambda row: -worst[row])[:_MOST_NAMED]:
         k = int(size[row].argmax())
         yield make_finding(
             "line-outlier",
