@@ -51,6 +51,20 @@ def test_the_lens_is_that_of_the_ordinary_command(tmp_path, capsys):
     assert result.read_bytes() == (again / "calibration.yaml").read_bytes()
 
 
+@pytest.mark.long
+def test_the_rig_is_that_of_the_ordinary_command(tmp_path, capsys):
+    made, folder, again = tmp_path / "made", tmp_path / "rig", tmp_path / "again"
+    small = ["--images", "--resolution", "320", "240", "--intrinsics", "230", "229", "161", "118"]
+    brief = ["--duration-s", "20", "--camera-rate-hz", "5", "--distortion-coeffs", "-0.1", "0.02", "0", "0"]
+    assert main(["simulate", "camera-imu", "-o", str(made), *small, *brief]) == 0
+    live = ["live", "camera-imu", f"replay:{made}@4", "--no-browser", "--until-enough", "--no-report"]
+    assert main([*live, "-o", str(folder)]) in {0, 1}
+    assert main(["camera-imu", str(folder), "--no-report", "-o", str(again)]) in {0, 1}
+    assert "recorded" in capsys.readouterr().out
+    result = tmp_path / "rig-camera-imu" / "calibration.yaml"
+    assert result.read_bytes() == (again / "calibration.yaml").read_bytes()
+
+
 def test_a_camera_without_a_board_is_refused_before_anything_is_made(tmp_path, capsys):
     assert main(["live", "camera", "camera:0", "-o", str(tmp_path / "x")]) == 2
     assert "--target is missing" in capsys.readouterr().err

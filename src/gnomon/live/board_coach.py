@@ -3,6 +3,7 @@
 image -> board found, or why not -> what the views so far show -> one sentence, one region of the image
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -120,7 +121,7 @@ class BoardCoach:
         self._lost, self._unlike = 0, ""
         self._unseen: list[Grey] = []
         self._tried, self._not_yet = 0, ""
-        self._confirmed = False
+        self._confirmed, self._seconds = False, 0.0
 
     def look_at_image(
         self, t_ns: int, image: Grey, view: BoardView, statistics: ImageStatistics, *, seconds: float, rate_hz: float
@@ -132,10 +133,10 @@ class BoardCoach:
         t_ns : when it was taken [ns]
         seconds, rate_hz : of the recording by now
         """
-        seen = len(view) >= FEWEST_CORNERS
+        seen, self._seconds = len(view) >= FEWEST_CORNERS, seconds
         if seen:
             self._lost, self._unlike = 0, ""
-            self._keep_view(t_ns, view, statistics.size)
+            self.keep_view(t_ns, view, statistics.size)
         else:
             self._lost += 1
             self._unseen = [*self._unseen[-3:], image]
@@ -175,7 +176,7 @@ class BoardCoach:
     def recording_so_far(self) -> Recording:
         """Return the views so far, for a calibration."""
         self._tried = len(self._views)
-        return Recording(imus={}, cameras={"cam0": _frames(self._views, Camera.nominal(self.state.resolution))})
+        return Recording(imus={}, cameras={"cam0": frames_of(self._views, Camera.nominal(self.state.resolution))})
 
     def take_outcome(self, outcome: TrialOutcome) -> None:
         """Take what a calibration of the views said."""
@@ -184,13 +185,12 @@ class BoardCoach:
 
     # ---- what was seen ----
 
-    def _keep_view(self, t_ns: int, view: BoardView, size: tuple[int, int]) -> None:
+    def keep_view(self, t_ns: int, view: BoardView, size: tuple[int, int]) -> None:
         """Keep a view that is sharp, and unlike all others."""
-        cell = np.floor((view.pixels + 0.5) * (np.array(CELLS) / np.array(size))).astype(np.int64)
-        np.add.at(self._cells, tuple(np.clip(cell, 0, np.array(CELLS) - 1).T[::-1]), 1)
+        self._count_corners(view, size)
         if view.blur_px > BLURRED_PX or len(self._views) >= _MOST_VIEWS:
             return
-        exposures = gather_exposures(_frames([(t_ns, view)], Camera.nominal(size)), self.target)
+        exposures = gather_exposures(frames_of([(t_ns, view)], Camera.nominal(size)), self.target)
         if not len(exposures):  # on one line
             return
         middle, extent = view.pixels.mean(axis=0), view.pixels.std(axis=0)
@@ -200,6 +200,10 @@ class BoardCoach:
         if not len(apart) or apart.min() > 1:
             self._places = np.vstack([self._places, place])
             self._views.append((t_ns, view))
+
+    def _count_corners(self, view: BoardView, size: tuple[int, int]) -> None:
+        cell = np.floor((view.pixels + 0.5) * (np.array(CELLS) / np.array(size))).astype(np.int64)
+        np.add.at(self._cells, tuple(np.clip(cell, 0, np.array(CELLS) - 1).T[::-1]), 1)
 
     def _untilted(self) -> list[str]:
         """Return which edges of the board were not nearer to the camera yet."""
@@ -268,7 +272,8 @@ class BoardCoach:
         return found
 
 
-def _frames(views: list[tuple[int, BoardView]], camera: Camera) -> CameraFrames:
+def frames_of(views: Sequence[tuple[int, BoardView]], camera: Camera) -> CameraFrames:
+    """Return the corners of views with their timestamps [ns], as of a camera."""
     return CameraFrames(
         t_ns=np.array([t_ns for t_ns, _ in views], np.int64),
         frame=np.repeat(np.arange(len(views)), [len(view) for _, view in views]),

@@ -40,14 +40,16 @@ class CameraSession:
     """
 
     page = "camera"
+    looks = 1
+    """How many images are looked at, at most, each time."""
 
     def __init__(self, source: ImageSource, folder: Path, target: Target) -> None:
         Recorder(folder).close_files()  # the folder is there now, and empty
         self.source, self.folder, self.images = source, folder, ImageRecorder(folder)
-        self.coach = BoardCoach(target)
+        self.coach = self._coach(target)
         self.stopped = threading.Event()
         self.trace: deque[list[float]] = deque()
-        self.latest: ImageArrival | None = None
+        self._pending: deque[ImageArrival] = deque(maxlen=self.looks)
         self._stamps: deque[int] = deque(maxlen=60)
         self._first_ns, self._arrived_s = 0, time.monotonic()
         self._shown: Grey | None = None
@@ -59,6 +61,9 @@ class CameraSession:
         except ProcessLostError:
             self._finder = BoardFinder(target)
         self._thread = threading.Thread(target=self._receive, daemon=True)
+
+    def _coach(self, target: Target) -> BoardCoach:
+        return BoardCoach(target)
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
@@ -96,21 +101,24 @@ class CameraSession:
         if arrival.camera == "cam0":
             self._first_ns = self._first_ns or arrival.t_ns
             self._stamps.append(arrival.t_ns)
-            self.latest = arrival
+            self._pending.append(arrival)
 
     def look_at_arrivals(self) -> BoardState:
         """Look at the newest image, and return what there is to say."""
         self.images.sync_files()
         self._follow_trial()
-        arrival = self.latest
-        if arrival is None or arrival.t_ns == self._looked_ns:
+        arrivals = [self._pending.popleft() for _ in range(len(self._pending))]
+        if not arrivals:
             return self.coach.state
-        self._looked_ns = arrival.t_ns
-        view, self._shown = self._view_of(arrival.image), arrival.image
+        views = self._views_of([arrival.image for arrival in arrivals])
+        for earlier, view in zip(arrivals[:-1], views[:-1], strict=True):
+            self.coach.keep_view(earlier.t_ns, view, earlier.image.shape[::-1])
+        arrival = arrivals[-1]
+        self._looked_ns, self._shown = arrival.t_ns, arrival.image
         state = self.coach.look_at_image(
             arrival.t_ns,
             arrival.image,
-            view,
+            views[-1],
             measure_image(arrival.image),
             seconds=(arrival.t_ns - self._first_ns) * 1e-9,
             rate_hz=1e9 / self._period_ns if len(self._stamps) > 1 else 0.0,
@@ -119,11 +127,11 @@ class CameraSession:
             self.coach.take_guess(guess_board(unseen, self.coach.target))
         return state
 
-    def _view_of(self, image: Grey) -> BoardView:
+    def _views_of(self, images: list[Grey]) -> list[BoardView]:
         with suppress(ProcessLostError):
-            return self._finder.views([image], follows=False)[0]
+            return self._finder.views(images, follows=False)
         self._finder = BoardFinder(self.coach.target)
-        return self._finder.views([image], follows=False)[0]
+        return self._finder.views(images, follows=False)
 
     def _follow_trial(self) -> None:
         """Begin a calibration where the views may be enough, and take what came of it."""
@@ -132,7 +140,10 @@ class CameraSession:
                 self.coach.take_outcome(self._trial.outcome)
             self._trial = None
         if self._trial is None and self.coach.wants_trial:
-            self._trial = Trial(self.coach.recording_so_far(), self.coach.target)
+            self._trial = self._begin_trial()
+
+    def _begin_trial(self) -> Trial:
+        return Trial(self.coach.recording_so_far(), self.coach.target)
 
     @property
     def _period_ns(self) -> float:

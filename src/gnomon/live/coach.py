@@ -281,6 +281,13 @@ class _Growing:
         """Stamps (n,) and values (n, 3)."""
         return self._t_ns[: self.count], self._values[: self.count]
 
+    def keep_last(self, count: int) -> None:
+        """Forget all rows but the last ones, where there are twice as many."""
+        if self.count > 2 * count:
+            first = self.count - count
+            self._t_ns[:count], self._values[:count] = self._t_ns[first : self.count], self._values[first : self.count]
+            self.count = count
+
     def append_block(self, block: TriadSamples) -> None:
         """Add samples."""
         after = self.count + len(block)

@@ -3,7 +3,7 @@
 import heapq
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -15,10 +15,13 @@ from ..formats.own.options_file import read_options
 from ..models.target import Target
 from ..readers.images.image_recording import open_images
 from ..recording.images import Frame, Grey, ImageRecording
+from ..simulate import CameraImuScenario, simulate_camera_imu
+from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.cameras import simulate_cameras
-from ..simulate.images.board_images import rendered_cameras
+from ..simulate.images.board_images import rendered_cameras, simulated_images
 from ..simulate.scenarios.cameras import CamerasScenario
-from .sources import Pace, parse_source
+from ..units import Units
+from .sources import LiveSource, Pace, ReplaySource, open_source, parse_source
 
 _AGAIN_S = 0.5
 _NUMBERED_S = 0.5
@@ -34,6 +37,13 @@ SHOWN = CamerasScenario(
     distortion_coeffs=(-0.12, 0.03, 0.0002, 0.0),
 )
 """What `simulate` shows: a board in another attitude every second, for two minutes."""
+
+WAVED = CameraImuScenario(duration_s=90.0, camera_rate_hz=10.0)
+"""The same of a rig that is waved before the board."""
+_RIG_FORMS = (
+    "replay:RECORDING[@SPEED] or simulate[:SEED or scenario.yaml], which have both; or a source of images, then one of "
+    "samples, such as camera:0 serial:/dev/ttyUSB0"
+)
 
 
 class ImageArrival(NamedTuple):
@@ -87,6 +97,44 @@ def open_image_source(text: str) -> ImageSource:
         simulation = simulate_cameras(replace(scenario, images=True), seed)
         return ReplayImages(rendered_cameras(simulation), Pace(1), simulation.target)
     raise OptionError(f"{text}: there is no such source of images. Name one as {_FORMS}.")
+
+
+def open_rig_sources(texts: Sequence[str], units: Units | None = None) -> tuple[ImageSource, LiveSource]:
+    """Return the sources of images and of the samples of an IMU: of one recording, or one each.
+
+    Parameters
+    ----------
+    texts : a recording to replay or what is simulated; or the source of images, then that of samples
+    units : of samples, as far as they are stated
+
+    Raises
+    ------
+    OptionError
+        If there is no such source.
+    RecordingError
+        If a recording cannot be replayed.
+    """
+    if len(texts) == 2:
+        return open_image_source(texts[0]), open_source(texts[1], units)
+    kind, where, number = parse_source(texts[0], _RIG_FORMS, numbered=("replay",))
+    if len(texts) > 2 or kind not in {"replay", "simulate"}:
+        raise OptionError(f"{' '.join(texts)}: expected {_RIG_FORMS}.")
+    pace, target = Pace(number or 1), None
+    if kind == "replay":
+        recording = open_images(Path(where), units=units)
+    else:
+        simulation = simulate_rig(where)
+        recording, target = simulated_images(simulation), simulation.target
+    images = ReplayImages(recording, pace, target, where if kind == "replay" else "")
+    return images, ReplaySource(recording.imus["imu0"], pace)
+
+
+def simulate_rig(where: str) -> CameraImuSimulation:
+    """Return what `simulate:WHERE` shows of a rig: with that seed, or of that scenario.yaml."""
+    scenario, seed = WAVED, int(where) if where.isdigit() else 0
+    if where and not where.isdigit():
+        scenario = read_options(where, CameraImuScenario)
+    return simulate_camera_imu(replace(scenario, images=True), seed)
 
 
 class ReplayImages(ImageSource):

@@ -25,6 +25,7 @@ class Recorder:
     Parameters
     ----------
     folder : is made; it must hold nothing yet
+    name : of the file with the samples, before its ending
 
     Raises
     ------
@@ -32,7 +33,7 @@ class Recorder:
         If the folder holds something, or cannot be written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, name: str = "samples") -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             there = next(folder.iterdir(), None)
@@ -43,7 +44,7 @@ class Recorder:
                 f"{folder}: this folder holds {there.name} already, and a recording is never written over. Name "
                 "another one with -o."
             )
-        self.folder = folder
+        self.folder, self._name = folder, name
         self.written = self.damaged = 0
         self._files: dict[str, int] = {}
         self._lock = threading.Lock()
@@ -62,8 +63,12 @@ class Recorder:
         whole = self._stamp(time.time_ns() if host_ns is None else host_ns) + line + b"\n"
         with self._lock:
             self.written += 1
-            os.write(self._file(f"{stream or 'samples'}.log"), whole)
+            os.write(self._file(f"{self._file_of(stream)}.log"), whole)
         return whole
+
+    def _file_of(self, stream: str) -> str:
+        """Return the name of the file of a stream; those of a named IMU stand behind its name."""
+        return self._name if not stream else stream if self._name == "samples" else f"{self._name}-{stream}"
 
     def record_damaged(self, line: bytes) -> None:
         """Write what is no line of a recording."""

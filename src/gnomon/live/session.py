@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ class LiveSession:
     use : what the sensor is for
     units, columns, rate_hz : what the lines do not say about themselves
     coach : which kind of
+    name : of the file with the samples
+    clock : seconds, by which silence is told
     """
 
     page = "imu"
@@ -49,8 +52,10 @@ class LiveSession:
         columns: str | None = None,
         rate_hz: float | None = None,
         coach: type[Coach] = Coach,
+        name: str = "samples",
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.source, self.recorder = source, Recorder(folder)
+        self.source, self.recorder = source, Recorder(folder, name)
         self.coach = coach(use, units)
         self.trouble = ""
         self.stopped = threading.Event()
@@ -60,7 +65,8 @@ class LiveSession:
         self._tables: dict[str, ArrivingTable] = {}
         self._lock = threading.Lock()
         self._pending: dict[str, list[bytes]] = {}
-        self._arrived_s = time.monotonic()
+        self._clock = clock
+        self._arrived_s = clock()
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._counts: deque[tuple[int, int]] = deque([(0, 0)], maxlen=_LOOKS)
 
@@ -100,7 +106,7 @@ class LiveSession:
         whole = self.recorder.record_line(line, stream)
         with self._lock:
             self._pending.setdefault(stream, []).append(whole)
-        self._arrived_s = time.monotonic()
+        self._arrived_s = self._clock()
 
     def look_at_arrivals(self) -> CoachState:
         """Take what arrived since the last look, and return what there is to say."""
@@ -158,7 +164,7 @@ class LiveSession:
         found = [Fault(code="source", text=self.source.trouble)] if self.source.trouble else []
         if self.trouble:
             found.append(Fault(code="unread", text=self.trouble))
-        if time.monotonic() - self._arrived_s > _SILENT_S and not found:
+        if self._clock() - self._arrived_s > _SILENT_S and not found:
             found.append(Fault(code="silence", text="Nothing arrives: is the device sending? Check cable and rate."))
         written, damaged = (self._counts[-1][k] - self._counts[0][k] for k in (0, 1))
         if damaged > _DAMAGED * (written + damaged):

@@ -7,13 +7,15 @@ import os
 import pickle
 import subprocess
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from threading import Thread
 
 from ..models.target import Target
-from ..options.requirements import Use
+from ..options.requirements import GENERAL_RIG, Use
 from ..processes import python_command, python_environment
-from ..recording import Recording
+from ..recording import ImuSamples, Recording
+from ..units import Units
 
 _NICE = 10
 
@@ -42,13 +44,21 @@ class Trial:
     recording : so far
     target : the board
     use : of cameras with an IMU, what they are for
+    folder : of those, with the samples and what is known of the IMU
+    units : of the samples, as far as they are stated
     """
 
-    def __init__(self, recording: Recording, target: Target, use: Use | None = None) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        target: Target,
+        use: Use | None = None,
+        folder: Path | None = None,
+        units: Units | None = None,
+    ) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._message = pickle.dumps(
-            (recording, {f.name: getattr(target, f.name) for f in fields(target) if f.init}, use)
-        )
+        stated = {item.name: getattr(target, item.name) for item in fields(target) if item.init}
+        self._message = pickle.dumps((recording, stated, use, folder, units))
         self.outcome: TrialOutcome | None = None
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -84,7 +94,8 @@ def try_calibration(recording: Recording, target: Target, use: Use | None = None
         if not recording.imus:
             calibration = calibrate_cameras(recording, target).calibration
         else:
-            calibration = judge_for_use(calibrate_camera_imu(recording, target).calibration, use)
+            stated = None if use == GENERAL_RIG else use
+            calibration = judge_for_use(calibrate_camera_imu(recording, target).calibration, stated)
     except GnomonError as error:
         return TrialOutcome(verdict="fail", advice=str(error))
     findings = sorted(
@@ -99,13 +110,27 @@ def try_calibration(recording: Recording, target: Target, use: Use | None = None
     )
 
 
+def _samples_in(folder: Path, units: Units | None) -> dict[str, ImuSamples]:
+    """Return the samples so far, as the ordinary command reads them."""
+    from ..formats.sensor_inputs import read_imus
+    from ..readers.rig.camera_folder import imu_files
+    from ..readers.rig.imu_stream import read_imu
+
+    stated = folder / "imu.yaml"
+    known = read_imus(stated)["imu0"] if stated.is_file() else None
+    files = imu_files(folder)["imu0"]
+    return {"imu0": read_imu("imu0", files, known, units=units or Units(), sources=[], notes=[])}
+
+
 def answer_request() -> None:
     """Answer what comes over the standard input."""
     if hasattr(os, "nice"):
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not come between
-    recording, target, use = pickle.load(sys.stdin.buffer)
+    recording, target, use, folder, units = pickle.load(sys.stdin.buffer)
+    if folder is not None:
+        recording = replace(recording, imus=_samples_in(folder, units))
     outcome = try_calibration(recording, Target(**target), use)
     found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
     pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)

@@ -102,7 +102,7 @@ def save_camera_imu_recording(
     else:
         for name, frames in recording.cameras.items():
             written += save_frames(frames, place, name)
-    for name, text in _texts(simulation, room):
+    for name, text in simulated_texts(simulation, room):
         write_whole(place / name, text)
         written.append(place / name)
     return tuple(written)
@@ -137,8 +137,8 @@ def save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Pat
     return corners, listed
 
 
-def _texts(simulation: CameraImuSimulation, room: RoomScenario | None) -> Iterator[tuple[str, str]]:
-    """Yield name and text of the small files."""
+def simulated_texts(simulation: CameraImuSimulation, room: RoomScenario | None = None) -> Iterator[tuple[str, str]]:
+    """Yield name and text of the small files beside a recording: what is known beforehand, and what is true."""
     recording, found = simulation.recording, simulation.statistics
     chain = {name: camera_node(frames.camera) for name, frames in recording.cameras.items()}
     yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)

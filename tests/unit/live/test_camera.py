@@ -6,7 +6,6 @@ from threading import Event
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.image_checks import measure_image
 from gnomon.detect.boards.board import BoardView, nothing_seen
 from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
@@ -20,9 +19,7 @@ from gnomon.models.camera import Camera
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording.images import Frame, ImageRecording, ImageStream
 from gnomon.simulate.cameras import simulate_cameras
-
-GREY = np.random.default_rng(1).normal(120, 40, (48, 64)).clip(0, 255).astype(np.uint8)
-STATISTICS = replace(measure_image(GREY), size=SHOWN.resolution, low=20.0, high=200.0, blur_px=0.7, clipped=0.0)
+from support.live_images import GREY, STATISTICS, views_of
 
 
 class Silent(ImageSource):
@@ -35,16 +32,6 @@ class Silent(ImageSource):
 @pytest.fixture(scope="module")
 def shown():
     return simulate_cameras(replace(SHOWN, views=120, between=1), 5)
-
-
-def views_of(simulation):
-    frames = simulation.recording.cameras["cam0"]
-    for k in range(len(frames.t_ns)):
-        own = frames.frame == k
-        sigma = np.full(int(own.sum()), 0.15)
-        yield BoardView(
-            point=frames.point[own], pixels=frames.pixels[own], sigma_px=sigma, blur_px=0.7, black=20.0, white=200.0
-        )
 
 
 def look(coach, k, view, statistics=STATISTICS):

@@ -29,8 +29,18 @@ class Silent(LiveSource):
         yield from ()
 
 
-def session_in(folder, use="ahrs"):
-    return LiveSession(Silent(), folder / "rec", USES[use])
+class Clock:
+    """Stands still unless it is moved on: how long a look takes on a busy machine is no silence of the sensor."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+def session_in(folder, use="ahrs", **options):
+    return LiveSession(Silent(), folder / "rec", USES[use], clock=Clock(), **options)
 
 
 def follow(session, hand, seconds, lines=None, until=lambda state: False):
@@ -38,6 +48,7 @@ def follow(session, hand, seconds, lines=None, until=lambda state: False):
     said = []
     source = lines or hand.sample_lines()
     for k, line in enumerate(islice(source, round(seconds * hand.rate_hz)), 1):
+        session._clock.now_s = k / hand.rate_hz
         session.take_line(line)
         if k % round(hand.rate_hz / 2) == 0:
             state = session.look_at_arrivals()
@@ -141,6 +152,17 @@ def test_nothing_is_wrong_with_what_is_right(tmp_path, seed):
     assert not {code for _, codes in said for code in codes}
 
 
+def test_silence_is_named_and_ends_with_the_next_sample(tmp_path):
+    session, hand = session_in(tmp_path), SimulatedHand(5)
+    follow(session, hand, 3)
+    session._clock.now_s += 1.4
+    assert not session.troubles()
+    session._clock.now_s += 0.2
+    assert [fault.code for fault in session.troubles()] == ["silence"]
+    session.take_line(next(iter(hand.sample_lines())))
+    assert not session.troubles()
+
+
 def test_damage_in_a_plain_table_does_not_spoil_the_file(tmp_path):
     session, hand = session_in(tmp_path), SimulatedHand(5)
     session.take_line(b"t [us],ax [m/s^2],ay,az,gx [rad/s],gy,gz")
@@ -222,7 +244,7 @@ def test_a_magnetometer_is_turned_until_all_directions_were_seen(tmp_path):
 
 
 def test_a_sensor_that_is_touched_is_left_alone_for_longer(tmp_path):
-    session, hand = LiveSession(Silent(), tmp_path / "rec", USES["ahrs"], coach=NoiseCoach), SimulatedHand(1)
+    session, hand = session_in(tmp_path, coach=NoiseCoach), SimulatedHand(1)
     said = follow(session, hand, 26)
     assert "180 min" in said[10][0].advice
     assert "touched" not in said[-12][0].advice

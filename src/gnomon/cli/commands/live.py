@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ...errors import OptionError
 from ...output import write_whole
-from ..command import Command, FileOption, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
+from ..command import CamFile, Command, FileOption, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
 from ..inputs import files_beside, read_use_option
 from ..output_folder import default_folder
 from ..parsing.arguments import Argument
 from ..terminal import Terminal
 from .camera import NO_TARGET, CameraCommand
+from .camera_imu import CameraImu
 from .imu import Imu
 from .magnetometer import Magnetometer
 from .noise import Noise
@@ -21,9 +22,12 @@ from .noise import Noise
 if TYPE_CHECKING:
     from ...live.camera_session import CameraSession
     from ...live.image_sources import ImageSource
+    from ...live.rig_session import RigSession
     from ...live.server import LivePage, Session
     from ...live.session import LiveSession
     from ...models.target import Target
+
+_COPIED = {"cam": "camchain.yaml", "imu": "imu.yaml"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,18 +45,26 @@ class Live(Command):
     $ gnomon live imu simulate -o first
     $ gnomon live imu serial:/dev/ttyUSB0@500000 --for vio -o monday
     $ gnomon live imu tail:log.txt --no-browser -o monday
+    $ gnomon live camera-imu camera:0 serial:/dev/ttyUSB0 --target target.yaml --cam lens-camera/calibration.yaml -o rig
     $ gnomon live camera camera:0 --target target.yaml -o lens
     """
 
-    what: Annotated[Literal["imu", "camera", "magnetometer", "noise"], Argument(positional=True)]
+    what: Annotated[Literal["imu", "camera", "camera-imu", "magnetometer", "noise"], Argument(positional=True)]
     """What is to be calibrated."""
-    source: Annotated[str, Argument(positional=True)]
-    """Where the samples come from, such as serial:/dev/ttyUSB0@500000."""
+    source: Annotated[tuple[str, ...], Argument(positional=True)]
+    """Where samples or images come from, such as serial:/dev/ttyUSB0@500000; of camera-imu two, images first, or
+    one that has both."""
     output: Annotated[Path, output_option("DIR")]
     """Folder for the recording, which must hold nothing yet; the result goes beside it."""
     target: Annotated[Path | None, FileOption] = None
     """Of a camera: Kalibr's file of the board (default: target.yaml beside what is replayed); it is copied into the
-    folder."""
+    folder, as are the next two."""
+    cam: CamFile = None
+    """Of camera-imu: Kalibr's file of the camera and its intrinsics, or gnomon's calibration.yaml (default:
+    camchain.yaml beside what is replayed)."""
+    imu: Annotated[Path | None, FileOption] = None
+    """Of camera-imu: Kalibr's file of the IMU's noise (default: imu.yaml beside what is replayed, where there is
+    one)."""
     use: ForUse = None
     browser: bool = True
     """Show no page; the status line in the terminal says the same."""
@@ -67,7 +79,8 @@ class Live(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Record until it is stopped, calibrate what was recorded, and return the exit code."""
-        session = self._open_images() if self.what == "camera" else self._open_samples()
+        opened = {"camera": self._open_images, "camera-imu": self._open_rig}
+        session = opened.get(self.what, self._open_samples)()
         page = self._open_page(session, terminal)
         session.begin_recording()
         try:
@@ -95,18 +108,52 @@ class Live(Command):
         coach = {"imu": Coach, "magnetometer": MagnetometerCoach, "noise": NoiseCoach}[self.what]
         reading: Any = {"units": units, "columns": table.columns, "rate_hz": table.rate}
         use = read_use_option(self.use) or GENERAL_IMU
-        return LiveSession(open_source(self.source, units), self.output, use, coach=coach, **reading)
+        return LiveSession(open_source(self._only_source, units), self.output, use, coach=coach, **reading)
 
     def _open_images(self) -> "CameraSession":
         from ...formats.kalibr.target import target_text
         from ...live.camera_session import CameraSession
         from ...live.image_sources import open_image_source
 
-        source = open_image_source(self.source)
+        source = open_image_source(self._only_source)
         target = self._board(source)
         session = CameraSession(source, self.output, target)
         write_whole(self.output / "target.yaml", target_text(target))
         return session
+
+    def _open_rig(self) -> "RigSession":
+        from ...formats.kalibr.target import target_text
+        from ...formats.sensor_inputs import read_cameras
+        from ...live.image_sources import open_rig_sources, simulate_rig
+        from ...live.rig_session import RigSession
+        from ...options.requirements import GENERAL_RIG
+        from ...units import Units
+        from ...writers.camera_imu_recording import simulated_texts
+
+        units = None if self.table.units is None else Units.parse(self.table.units)
+        images, samples = open_rig_sources(self.source, units)
+        target = self._board(images)
+        files = files_beside(Path(images.place or "-"), {"cam": self.cam, "imu": self.imu})[0]
+        texts = {_COPIED[name]: path.read_text(encoding="utf-8") for name, path in files.items() if path is not None}
+        if files["cam"] is not None:
+            lens = next(iter(read_cameras(files["cam"]).values())).camera
+        elif self.source[0].startswith("simulate"):
+            simulation = simulate_rig(self.source[0].partition(":")[2])
+            texts = dict(simulated_texts(simulation)) | texts
+            lens = simulation.recording.cameras["cam0"].camera
+        else:
+            raise OptionError("--cam is missing: the file of the camera and its intrinsics, as gnomon camera makes it.")
+        use = read_use_option(self.use) or GENERAL_RIG
+        session = RigSession(images, samples, self.output, target, lens=lens, use=use, units=units)
+        for name, text in (texts | {"target.yaml": target_text(target)}).items():
+            write_whole(self.output / name, text)
+        return session
+
+    @property
+    def _only_source(self) -> str:
+        if len(self.source) != 1:
+            raise OptionError(f"{' '.join(self.source)}: expected one source; two, images and samples, has camera-imu.")
+        return self.source[0]
 
     def _board(self, source: "ImageSource") -> "Target":
         """Return the board as it is stated, as the source knows it, or as it is described beside what is replayed."""
@@ -127,6 +174,9 @@ class Live(Command):
             return Imu(recording=PosesInput(paths=(self.output,), **table), use=self.use, **shared)
         if self.what == "camera":
             return CameraCommand(recording=self.output, cache=False, **shared)
+        if self.what == "camera-imu":
+            units = self.table.units
+            return CameraImu(recording=self.output, cache=False, units=units, use=self.use, **shared)
         recording = Input(path=self.output, **table)
         if self.what == "magnetometer":
             return Magnetometer(recording=recording, use=self.use, **shared)

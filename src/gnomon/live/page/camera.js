@@ -1,6 +1,6 @@
 "use strict";
 const picture = new Image();
-let state = null, views = 0, asked = "";
+let state = null, asked = "";
 
 const PLACES = {
   "upper left": [0, 0], upper: [1, 0], "upper right": [2, 0], left: [0, 1], middle: [1, 1], right: [2, 1],
@@ -62,8 +62,7 @@ function showBars(bars) {
 }
 
 function show(next) {
-  if (next.views > views) beep(next.confirmed ? 1320 : 880);
-  views = next.views;
+  if (state && next.phase + next.region !== state.phase + state.region) beep(next.confirmed ? 1320 : 880);
   state = next;
   if (next.picture >= 0 && String(next.picture) !== asked) picture.src = `picture?at=${asked = String(next.picture)}`;
   showLights(next.lights);

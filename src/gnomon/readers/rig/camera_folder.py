@@ -12,8 +12,8 @@ from ..samples.text_table import sniff_layout
 _TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
 _CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
 _FRAMES = re.compile(rf"(cam\d+)[-_/]frames{_TABLE}", re.IGNORECASE)
-_IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.npz)", re.IGNORECASE)
-_TRIADS = tuple(re.compile(rf"(imu\d*)[-_/]{word}[a-z]*{_TABLE}", re.IGNORECASE) for word in ("acc", "gyr"))
+_IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.log|\.npz)", re.IGNORECASE)
+_TRIADS = tuple(re.compile(rf"(imu\d*)[-_/]{word}[a-z]*({_TABLE}|\.log)", re.IGNORECASE) for word in ("acc", "gyr"))
 _EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
 
 

@@ -1,0 +1,200 @@
+"""A guided capture of a camera with an IMU: both are recorded, and both are looked at together."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..detect.boards.board import BoardView
+from ..models.camera import Camera
+from ..models.target import Target
+from ..options.requirements import Use
+from ..recording import Recording, TriadSamples
+from ..units import ACCELEROMETER_UNITS_M_S2, Units
+from .board_coach import BoardCoach, BoardState, frames_of
+from .camera_session import CameraSession
+from .coach import Coach
+from .faults import Fault
+from .image_sources import ImageSource
+from .prospect import rate_unit_of
+from .session import LiveSession
+from .sources import LiveSource
+from .trials import Trial, TrialOutcome
+
+_SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
+_FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 4.0
+_REMEMBERED = 20_000  # samples
+
+
+class MotionCoach(Coach):
+    """Adds up for how long an IMU was turned about each of its axes, and accelerated along them.
+
+    Attributes
+    ----------
+    turned_s, shaken_s : (3,) faster than 0.3 rad/s, and by more than 1 m/s^2 [s]
+    """
+
+    def __init__(self, use: Use, stated: Units | None = None) -> None:
+        super().__init__(use, stated)
+        self.turned_s, self.shaken_s = np.zeros(3), np.zeros(3)
+        self._counted_ns = 0
+
+    def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
+        """Take the next samples, and forget old ones."""
+        for rows in self._triads.values():
+            rows.keep_last(_REMEMBERED)
+        super().add_samples(blocks, named)
+
+    def _is_due(self, seconds: float, still_s: float) -> bool:
+        return True
+
+    def _look_ahead(self) -> None:
+        """Count what came since the last look."""
+        imu = self.samples
+        unit, force_unit = rate_unit_of(imu), ACCELEROMETER_UNITS_M_S2[imu.accelerometer.unit]
+        since_ns, self._counted_ns = self._counted_ns, int(imu.accelerometer.t_ns[-1])
+        for samples, factor, limit, counted in (
+            (imu.gyroscope, unit, _FAST_RAD_S, self.turned_s),
+            (imu.accelerometer, force_unit, _STRONG_M_S2, self.shaken_s),
+        ):
+            new = samples.values[samples.t_ns > since_ns]
+            if factor is not None and len(new) > 1:
+                moved = np.abs(factor * (new - (new.mean(axis=0) if samples is imu.accelerometer else 0))) > limit
+                np.add(counted, moved.mean(axis=0) * len(new) / samples.rate_hz, out=counted)
+
+    def _faults(self, *, still: bool) -> Iterator[Fault]:
+        return super()._faults(still=False)
+
+    def _said(self, spread: float) -> dict[str, Any]:
+        return {"phase": "turn", "advice": ""}
+
+
+class RigCoach(BoardCoach):
+    """Asks for the motions that a camera with an IMU needs, in sight of a board.
+
+    Parameters
+    ----------
+    target : the board
+    lens : of the camera
+    motion : of the IMU
+    """
+
+    def __init__(self, target: Target, lens: Camera, motion: MotionCoach) -> None:
+        super().__init__(target)
+        self._lens, self._motion = lens, motion
+        self._tried_s = 0.0
+        self._foreseen: tuple[tuple[str, float], ...] = ()
+
+    def keep_view(self, t_ns: int, view: BoardView, size: tuple[int, int]) -> None:
+        """Keep what is seen in an image, of the last two minutes."""
+        self._count_corners(view, size)
+        self._views.append((t_ns, view))
+        first = int(np.searchsorted([t for t, _ in self._views[:64]], t_ns - _LONGEST_S * 1e9))
+        del self._views[:first]
+
+    def recording_so_far(self) -> Recording:
+        """Return the corners of the last two minutes."""
+        self._tried_s = self.state.seconds
+        return Recording(imus={}, cameras={"cam0": frames_of(self._views, self._lens)})
+
+    @property
+    def wants_trial(self) -> bool:
+        """Whether the motion so far may be enough."""
+        return not self._confirmed and self.state.phase == "trying" and self.state.seconds - self._tried_s >= _AGAIN_S
+
+    def take_outcome(self, outcome: TrialOutcome) -> None:
+        """Take what a calibration of the recording so far said."""
+        super().take_outcome(outcome)
+        self._confirmed = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
+        self._foreseen = outcome.needs
+
+    def _needs(self) -> dict[str, float]:
+        found = {
+            **{f"turned about {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.turned_s, strict=True)},
+            **{f"shaken along {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.shaken_s, strict=True)},
+            "length": self._seconds / _SHORTEST_S,
+        }
+        return found | {f"precision: {name}": 1 / ratio for name, ratio in self._foreseen}
+
+    def _said(self, needs: dict[str, float], size: tuple[int, int]) -> dict[str, Any]:
+        if self._confirmed:
+            return {"phase": "enough", "advice": "Enough: what is needed is reached. Stop, or go on for more."}
+        for what, (phase, say) in _MOTIONS.items():
+            missing = [name[-1] for name, share in needs.items() if name.startswith(what) and share < 1]
+            if missing:
+                return {"phase": f"{phase} {missing[0]}", "advice": say.format(axis=missing[0])}
+        if needs["length"] < 1:
+            left = _SHORTEST_S - self._seconds
+            return {"phase": "more", "advice": f"Go on turning and shaking in front of the board, {left:.0f} s more."}
+        return {"phase": "trying", "advice": self._not_yet or "Go on: a calibration is tried meanwhile."}
+
+
+_MOTIONS = {
+    "turned": ("turn", "Turn it to and fro about the IMU's {axis} axis, briskly, with the board in sight."),
+    "shaken": ("shake", "Move it to and fro along the IMU's {axis} axis, briskly, with the board in sight."),
+}
+
+
+class RigSession(CameraSession):
+    """Records images and samples, and says what to do next.
+
+    Parameters
+    ----------
+    source, samples : of the images, and of the IMU
+    folder : to record in
+    target : the board
+    lens : of the camera
+    use : what both are for
+    units : of the samples, as far as they are stated
+    """
+
+    looks = 15
+
+    def __init__(
+        self,
+        source: ImageSource,
+        samples: LiveSource,
+        folder: Path,
+        target: Target,
+        *,
+        lens: Camera,
+        use: Use,
+        units: Units | None = None,
+    ) -> None:
+        self._use, self._units, self._lens = use, units, lens
+        self.samples = LiveSession(samples, folder, use, units=units, coach=MotionCoach, name="imu0")
+        super().__init__(source, folder, target)
+        self.trace = self.samples.trace
+
+    def _coach(self, target: Target) -> BoardCoach:
+        motion = self.samples.coach
+        assert isinstance(motion, MotionCoach)
+        return RigCoach(target, self._lens, motion)
+
+    def begin_recording(self) -> None:
+        """Begin to receive both, each in a thread of its own."""
+        self.samples.begin_recording()
+        super().begin_recording()
+
+    def end_recording(self) -> None:
+        """Stop receiving, and close the files."""
+        super().end_recording()
+        self.samples.end_recording()
+
+    @property
+    def recorded(self) -> str:
+        """What was recorded."""
+        return f"{super().recorded} and {self.samples.recorded}"
+
+    def look_at_arrivals(self) -> BoardState:
+        """Look at what arrived, and return what there is to say."""
+        self.samples.look_at_arrivals()
+        return super().look_at_arrivals()
+
+    def troubles(self) -> list[Fault]:
+        """Return why nothing can be said, and what is wrong with the sources, most important first."""
+        return [*super().troubles(), *self.samples.troubles(), *self.samples.coach.state.faults]
+
+    def _begin_trial(self) -> Trial:
+        return Trial(self.coach.recording_so_far(), self.coach.target, self._use, self.folder, self._units)

@@ -1,0 +1,159 @@
+"""A guided capture of a camera with an IMU: what was turned and shaken, and what a calibration of it says."""
+
+import numpy as np
+import pytest
+
+from gnomon.errors import OptionError
+from gnomon.live.hand import imu_sentence
+from gnomon.live.image_sources import ImageArrival, ImageSource, open_rig_sources
+from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
+from gnomon.live.sources import LiveSource
+from gnomon.live.trials import Trial, TrialOutcome
+from gnomon.options.requirements import GENERAL_RIG
+from gnomon.readers.images.image_recording import open_images
+from gnomon.recording import TriadSamples
+from gnomon.simulate import CameraImuScenario, simulate_camera_imu
+from support.live_images import GREY, STATISTICS, views_of
+
+STEP_NS = 5_000_000
+
+
+class SilentCamera(ImageSource):
+    """Takes nothing by itself."""
+
+    def arriving_images(self, stop):
+        yield from ()
+
+
+class SilentImu(LiveSource):
+    """Sends nothing by itself."""
+
+    def arriving_lines(self, stop):
+        yield from ()
+
+
+def feed(coach, seconds, rate=(0.0, 0.0, 0.0), shake=(0.0, 0.0, 0.0), start=0, unit=1.0):
+    """Send samples of a sensor that is turned to and fro at 1 Hz, and shaken at 3 Hz, and look twice a second."""
+    rng = np.random.default_rng(start)
+    for first in range(start, start + round(200 * seconds), 100):
+        k = np.arange(first, first + 100)[:, None]
+        way = np.sin(2 * np.pi * k / 200)
+        omega = way * rate + 1e-3 * rng.standard_normal((100, 3))
+        force = [0, 0, 9.81] + np.sin(6 * np.pi * k / 200) * shake + 1e-2 * rng.standard_normal((100, 3))
+        t_ns = (10**18 + STEP_NS * k[:, 0]).astype(np.int64)
+        samples = {
+            "accelerometer": TriadSamples(t_ns=t_ns, values=force / unit, unit="g" if unit > 1 else "m/s^2"),
+            "gyroscope": TriadSamples(t_ns=t_ns, values=omega, unit="rad/s"),
+        }
+        coach.add_samples(samples, {name: one.unit for name, one in samples.items()})
+        coach.look_at_samples()
+    return start + round(200 * seconds)
+
+
+@pytest.mark.parametrize("unit", [1.0, 9.80665])
+def test_what_is_turned_and_shaken_is_counted_for_each_axis(unit):
+    coach = MotionCoach(GENERAL_RIG)
+    feed(coach, 10, rate=(2.0, 0.0, 0.0), shake=(0.0, 0.0, 4.0), unit=unit)
+    assert coach.turned_s[0] == pytest.approx(9.5, abs=1.5)
+    assert coach.shaken_s[2] == pytest.approx(8.5, abs=1.5)
+    assert not coach.turned_s[1:].any()
+    assert not coach.shaken_s[:2].any()
+
+
+def test_a_day_of_samples_needs_no_more_memory_than_minutes():
+    coach = MotionCoach(GENERAL_RIG)
+    block = {
+        name: TriadSamples(t_ns=np.arange(60_000) * STEP_NS, values=np.ones((60_000, 3)), unit=unit)
+        for name, unit in (("accelerometer", "m/s^2"), ("gyroscope", "rad/s"))
+    }
+    for _ in range(20):
+        coach.add_samples(block, {})
+    assert all(len(rows._t_ns) <= 2**18 for rows in coach._triads.values())
+
+
+@pytest.fixture(scope="module")
+def waved():
+    return simulate_camera_imu(CameraImuScenario(duration_s=31.0, camera_rate_hz=10.0), 2)
+
+
+def show(coach, waved, frames, first=0):
+    for k, view in enumerate(views_of(waved)):
+        if first <= k < first + frames:
+            stamp = int(waved.recording.cameras["cam0"].t_ns[k])
+            state = coach.look_at_image(stamp, GREY, view, STATISTICS, seconds=k / 10, rate_hz=10.0)
+    return state
+
+
+def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
+    motion = MotionCoach(GENERAL_RIG)
+    coach = RigCoach(waved.target, waved.recording.cameras["cam0"].camera, motion)
+    sent = feed(motion, 12, rate=(2.0, 0.0, 2.0))
+    assert show(coach, waved, 20).phase == "turn y"
+    sent = feed(motion, 12, rate=(0.0, 2.0, 0.0), shake=(4.0, 0.0, 4.0), start=sent)
+    assert show(coach, waved, 20, first=20).phase == "shake y"
+    feed(motion, 12, shake=(0.0, 4.0, 0.0), start=sent)
+    assert show(coach, waved, 20, first=40).phase == "more"
+    assert show(coach, waved, 250, first=60).phase == "trying"
+    assert coach.wants_trial
+    coach.recording_so_far()
+    assert not coach.wants_trial, "not before there is more"
+    coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 1.5),)))
+    assert not show(coach, waved, 1, first=309).confirmed
+    coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 0.5),)))
+    state = show(coach, waved, 1, first=309)
+    assert state.confirmed
+    assert dict(state.bars)["precision: translation"] == 2.0
+
+
+@pytest.mark.long
+def test_a_trial_reads_the_samples_as_the_ordinary_command_does(tmp_path, waved):
+    session = RigSession(
+        SilentCamera(),
+        SilentImu(),
+        tmp_path / "rec",
+        waved.target,
+        lens=waved.recording.cameras["cam0"].camera,
+        use=GENERAL_RIG,
+    )
+    session.samples.take_line(b"time [ns],ax [m/s^2],ay,az,gx [rad/s],gy,gz")
+    imu = waved.recording.imus["imu0"]
+    rows = np.hstack([imu.accelerometer.values, imu.gyroscope.values]).tolist()
+    for t_ns, row in zip(imu.gyroscope.t_ns.tolist(), rows, strict=True):
+        session.samples.take_line(f"{t_ns},{','.join(map(repr, row))}".encode())
+    show(session.coach, waved, 310)
+    trial = Trial(session.coach.recording_so_far(), waved.target, GENERAL_RIG, session.folder)
+    trial._thread.join()
+    session.end_recording()
+    assert trial.outcome.verdict == "pass"
+    assert {name.split()[0] for name, _ in trial.outcome.needs} == {"rotation", "translation", "time"}
+    assert all(0 < ratio < 1 for _, ratio in trial.outcome.needs)
+
+
+def test_both_streams_are_read_again_as_they_were(tmp_path, waved):
+    session = RigSession(
+        SilentCamera(), SilentImu(), tmp_path / "rec", waved.target, lens=waved.recording.cameras["cam0"].camera,
+        use=GENERAL_RIG,
+    )  # fmt: skip
+    for k in range(100):
+        session.samples.take_line(imu_sentence(5000 * k, (0.1, 0.2, 9.8, 0.1 * (k % 7), 0.2, 0.3, 25.0)))
+        if k % 10 == 0:
+            session.take_image(ImageArrival(10**18 + STEP_NS * k, GREY))
+    assert session.recorded == "10 images and 100 lines"
+    session.end_recording()
+    found = open_images(tmp_path / "rec")
+    assert found.streams["cam0"].count == 10
+    assert len(found.imus["imu0"].gyroscope) == 100
+
+
+def test_streams_of_one_recording_keep_their_places_in_time(tmp_path, monkeypatch):
+    scenario = CameraImuScenario(duration_s=0.5, camera_rate_hz=10.0, target_cols=2, target_rows=2)
+    monkeypatch.setattr("gnomon.live.image_sources.WAVED", scenario)
+    images, samples = open_rig_sources(["simulate:1"])
+    assert images._pace is samples._pace
+    assert images.target is not None
+
+
+@pytest.mark.parametrize("texts", [["camera:0"], ["simulate", "simulate", "simulate"], ["serial:/dev/ttyUSB0"]])
+def test_sources_that_are_not_both_are_named(texts):
+    with pytest.raises(OptionError, match="images"):
+        open_rig_sources(texts)
