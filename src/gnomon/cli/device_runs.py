@@ -61,9 +61,10 @@ def calibrate_device(task: DeviceTask) -> DeviceOutcome:
 
     try:
         command = parse_command(task.line)
+        terminal = _Mute()
         with spared_inputs(command):
-            command.run(_Mute())
-        calibration = load(Path(task.folder) / "calibration.yaml")
+            command.run(terminal)
+        calibration = terminal.written or load(Path(task.folder) / "calibration.yaml")
     except Exception as error:
         lasting = isinstance(error, GnomonError) and not isinstance(error, OutputError)
         return DeviceOutcome(serial=task.serial, folder=task.folder, problem=explain_error(error)[0], lasting=lasting)

@@ -24,12 +24,13 @@ def exit_code(calibration: "Calibration") -> int:
 
 
 def write_result(result: "Result", folder: Path, *, report: bool, terminal: Terminal) -> None:
-    """Write calibration, diagnostics and, where wanted, the report into a folder."""
+    """Write calibration, diagnostics and, where wanted, the report; the terminal keeps what was calibrated."""
     from ..formats.own.calibration_text import save
     from ..writers.diagnostics_file import save_diagnostics
 
     save(result.calibration, folder / "calibration.yaml")
     save_diagnostics(result.diagnostics, folder / "diagnostics.npz")
+    terminal.written = result.calibration
     if report:
         terminal.progress("drawing the report")
         from ..report import write_report

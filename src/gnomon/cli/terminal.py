@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress as Bar
 
+    from ..results.calibration import Calibration
+
 _LOG_HEAD = b"# log of gnomon"
 _QUIET_S = 5.0  # between lines on one step, where they go to a file
 WIDTH = 80
@@ -50,6 +52,7 @@ class Terminal:
     ) -> None:
         self.as_json = as_json
         self.next_lines: list[str] = []
+        self.written: Calibration | None = None
         self._quiet, self._verbose = quiet, verbose
         self._log = log
         if log is not None:

@@ -65,6 +65,7 @@ class LibraryEntry:
         stated, assessment = calibration.provenance.options, calibration.assessment
         matrix = calibration.uncertainty.matrix
         covered = np.flatnonzero(np.diag(matrix) > 0)
+        known_part = matrix[np.ix_(covered, covered)]
         known = list(calibration_parameters(calibration.imus, calibration.cameras))
         return cls(
             serial=stated.get("serial", serial),
@@ -85,7 +86,7 @@ class LibraryEntry:
             units=tuple(unit for path, _ in known for unit in element_units(calibration, path)),
             values=np.concatenate([np.ravel(value) for _, value in known]),
             sigmas=_comparable_sigmas(calibration),
-            covariance=matrix[np.ix_(covered, covered)],
+            covariance=np.tril(known_part) + np.tril(known_part, -1).T,  # as its file has it, to the last bit
             covered=tuple(covered.tolist()),
         )
 
