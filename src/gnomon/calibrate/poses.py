@@ -16,6 +16,7 @@ from ..assess.priors import NOTHING, Prior, Priors, gather_prior
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
 from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
+from ..estimate.triads.pose_step import PoseStep, count_rival_step
 from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
 from ..estimate.triads.triad import TriadFit, fit_triad
 from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
@@ -128,7 +129,7 @@ def calibrate_poses(
     attitudes = _distinct(poses)
     _require(attitudes, poses, known)
     tell(f"fitting {len(poses)} poses")
-    fit, stated, drift = _fit_accelerometer(prepared, gravity, known, attitudes)
+    fit, stated, drift, step = _fit_accelerometer(prepared, gravity, known, attitudes)
     fit, trust = robust_triad(fit, "imu0.accelerometer", t_s=poses.t_s, widened=options.covariance == "robust")
     gyroscope, why = _gyroscope(prepared, fit, known, gravity, options)
     tell("assessing the result")
@@ -143,6 +144,7 @@ def calibrate_poses(
         fit=fit,
         stated=stated,
         drift=drift,
+        step=step,
         gyroscope=gyroscope,
         no_gyroscope=why,
         known=known,
@@ -215,7 +217,7 @@ def _require(attitudes: int, poses: Poses, known: Prior) -> None:
 
 def _fit_accelerometer(
     prepared: PreparedPoses, gravity: Gravity, known: Prior, attitudes: int
-) -> tuple[TriadFit, StatedAttitudes | None, PoseDrift | None]:
+) -> tuple[TriadFit, StatedAttitudes | None, PoseDrift | None, PoseStep | None]:
     """Fit the accelerometer to gravity's magnitude, and to the known attitudes where there are some."""
     poses = prepared.poses
     prior = known.triad_prior("accelerometer")
@@ -236,11 +238,12 @@ def _fit_accelerometer(
                 "known attitudes define a body frame of their own, that of the jig, in which a prior calibration does "
                 "not know the accelerometer. Leave out --prior and --fix, or the columns ref_x ref_y ref_z."
             )
-        return *_in_jig(poses, problem), None
+        return *_in_jig(poses, problem), None, None
     if attitudes < _FEWEST_DETERMINED and not known.knows("imu0.accelerometer.sensitivity"):
         prior = _assumed_angles(poses, gravity.value, prior)
     fit, drift = fit_with_drift(problem(None, 0.0), poses.t_s, prior)
-    return fit, None, drift
+    fit, step = count_rival_step(problem(None, 0.0), fit, prior)
+    return fit, None, drift, step
 
 
 def _agreement(
@@ -255,7 +258,7 @@ def _agreement(
             known, np.concatenate([value.ravel() for _, value in calibration_parameters({"": sensor})]), covariance
         )
     try:
-        alone, _, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
+        alone, *_ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
         gyroscope, _ = _gyroscope(prepared, alone, NOTHING, gravity, options)
     except InitialisationError:
         return prior_used(known)

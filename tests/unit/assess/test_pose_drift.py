@@ -11,17 +11,22 @@ from gnomon.simulate import PoseScenario, simulate_poses
 NAMES = "imu0.accelerometer.sensitivity", "imu0.accelerometer.bias"
 SCENARIO = PoseScenario(sensor="drawn", units="si")
 SORTED = PoseScenario(sensor="drawn", units="si", attitudes="sphere", poses=24)
+ANGRISANO = PoseScenario(sensor="drawn", units="si", attitudes="angrisano18")
+LATERAL = 0.05 * np.array([0.8, -0.5, 0.3])
 
 
-def calibrated(scenario, seed, drift, *, timed=True, order=None, step=False):
+def stepped(tau, at=0.1):
+    """Return a step of one with a mean of zero."""
+    return (tau > at) - np.mean(tau > at)
+
+
+def calibrated(scenario, seed, drift, *, timed=True, order=None, way=lambda tau: tau):
     """Return the errors in sigmas, the findings, and the calibration; drift is (3,) from the first pose to the last."""
     simulation = simulate_poses(scenario, seed)
     n = len(simulation.poses)
     order = np.arange(n) if order is None else order
     tau = np.linspace(-0.5, 0.5, n)
-    if step:
-        tau = (tau > 0.1) - np.mean(tau > 0.1)
-    values = simulation.accelerometer[order] + tau[:, None] * np.asarray(drift)
+    values = simulation.accelerometer[order] + way(tau)[:, None] * np.asarray(drift)
     poses = Poses(
         name=tuple(map(str, range(n))),
         accelerometer=values,
@@ -68,5 +73,23 @@ def test_where_the_order_resembles_time_a_drift_is_in_the_sigmas(size) -> None:
 
 
 def test_a_step_that_looks_like_a_drift_is_in_the_sigmas() -> None:
-    worst = [np.abs(calibrated(SCENARIO, seed, [0.015, -0.01, 0.01], step=True)[0]).max() for seed in (0, 4, 6, 7, 11)]
+    worst = [
+        np.abs(calibrated(SCENARIO, seed, [0.015, -0.01, 0.01], way=stepped)[0]).max() for seed in (0, 4, 6, 7, 11)
+    ]
     assert max(worst) < 4
+
+
+@pytest.mark.parametrize("at", [-0.26, -0.1])
+def test_a_step_that_looks_like_poses_that_are_off_is_named_and_counted(at) -> None:
+    """Left out as outliers, they leave poses that agree with each other: 9 sigma off in a result that passed."""
+    scaled, findings, _ = calibrated(ANGRISANO, 82027, LATERAL, way=lambda tau: stepped(tau, at))
+    assert np.abs(scaled).max() < 4
+    assert findings["accelerometer-step"].severity == "warning"
+
+
+def test_one_pose_that_is_off_is_no_step() -> None:
+    scaled, findings, found = calibrated(ANGRISANO, 1, LATERAL, way=lambda tau: np.abs(tau - 0.03) < 0.01)
+    assert np.abs(scaled).max() < 4
+    assert "accelerometer-step" not in findings
+    assert found.verdict == "pass"
+    assert found.assessment.intervals_used == 17

@@ -5,6 +5,7 @@ import numpy as np
 from ...estimate.triads.angrisano import AngrisanoFit
 from ...estimate.triads.known_attitudes import StatedAttitudes
 from ...estimate.triads.pose_drift import PoseDrift
+from ...estimate.triads.pose_step import PoseStep
 from ...estimate.triads.rotation_sensitivity import RotationSensitivity
 from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ...estimate.triads.triad import TriadFit
@@ -84,6 +85,7 @@ class PoseFitSummary:
     fit : of the accelerometer
     stated : how the known attitudes agree, or None where none were known
     drift : of the accelerometer's bias while the poses were recorded, or None where it was not estimated
+    step : of that bias, which would explain all poses where the fit does not; None where none does
     gyroscope : at rest, or None
     no_gyroscope : why a gyroscope that was recorded is not calibrated, or ""
     known : beforehand
@@ -101,6 +103,7 @@ class PoseFitSummary:
     fit: TriadFit
     stated: StatedAttitudes | None
     drift: PoseDrift | None
+    step: PoseStep | None
     gyroscope: RestingGyroscope | None
     no_gyroscope: str
     known: Prior

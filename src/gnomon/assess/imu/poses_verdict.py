@@ -4,6 +4,7 @@ import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
 from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift
+from ...estimate.triads.pose_step import PoseStep
 from ...estimate.triads.triad_poses import B_, S_
 from ...findings import Finding, make_finding
 from ...recording import Floats
@@ -21,6 +22,7 @@ _DETERMINED = 9  # attitudes
 _UNIT_FACTOR = 1.5
 _NAMED = 4
 _DRIFT_WARN = 0.03  # m/s^2
+_STEP_POSES = 3  # on either side of a step, for it to be more than poses that are off
 _OPEN, _OPEN_WARN = 0.5, 0.8  # of a usual drift, that the poses do not tell
 _OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
 
@@ -45,6 +47,7 @@ def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Ass
         *_observability_findings(evidence),
         *_stated_findings(evidence),
         *_drift_findings(evidence.drift),
+        *_step_findings(evidence.step, table.name),
         *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
         *left_out_poses_findings(table, evidence.left_out),
         *gravity_findings(evidence.gravity),
@@ -114,6 +117,16 @@ def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
         severity = "warning" if drift.open.max() > _OPEN_WARN else "info"
         findings.append(make_finding("drift-not-told", severity=severity, axes=axes, sigma=sigma))
     return findings
+
+
+def _step_findings(step: PoseStep | None, names: tuple[str, ...]) -> list[Finding]:
+    """Say that a step of the bias would explain what the fit does not."""
+    if step is None:
+        return []
+    moved = ", ".join(f"{1e3 * value:.2g}" for value in step.change)
+    severity = "warning" if step.shorter > _STEP_POSES else "info"
+    before, after = names[step.after], names[step.after + 1]
+    return [make_finding("accelerometer-step", severity=severity, moved=moved, before=before, after=after)]
 
 
 def _model(gyroscope: RestingGyroscope | None) -> str:

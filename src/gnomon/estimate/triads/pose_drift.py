@@ -63,7 +63,7 @@ def fit_with_drift(
     usual = np.full(3, _USUAL_M_S2)
     fit, change = still, np.zeros(3)
     for _ in range(_ROUNDS):
-        fit = fit_triad(timed, g_sensitivity=True, prior=_with_drift(prior, scale * usual))
+        fit = fit_triad(timed, g_sensitivity=True, prior=prior_along_time(prior, scale * usual))
         change = fit.g_sensitivity[:, 0] / scale
         if not (np.abs(change) > _LARGE * usual).any():
             break
@@ -74,8 +74,8 @@ def fit_with_drift(
     return fit, PoseDrift(change=change, sigma=sigma, open=sigma / usual)
 
 
-def _with_drift(prior: TriadPrior | None, sigma: Floats) -> TriadPrior:
-    """Return the prior with drifts of zero, give or take (3,) [unit], in place of the g-sensitivity."""
+def prior_along_time(prior: TriadPrior | None, sigma: Floats) -> TriadPrior:
+    """Return the prior with changes of zero, give or take (3,) [unit], in place of the g-sensitivity."""
     mean = np.zeros(PARAMETERS) if prior is None else prior.mean.copy()
     precision = np.zeros((PARAMETERS, PARAMETERS)) if prior is None else prior.precision.copy()
     fixed = np.zeros(PARAMETERS, dtype=bool) if prior is None else prior.fixed.copy()
