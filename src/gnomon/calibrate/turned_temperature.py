@@ -30,6 +30,9 @@ _APART_K = 4.0
 _BESIDE = {"accelerometer_bias": 0.2, "gyroscope_bias": 0.2, "gyroscope_scale": 1 / 3}
 """What remains of the usual difference between recordings where the temperature is known to about a kelvin:
 `BETWEEN_RECORDINGS` states these for a change of 5 and 3 K. Of the others it was measured at one temperature."""
+_MEDIAN = 0.48
+"""`usual` over the median of its prior in `between_recordings`, whose tail is that heavy. Here what is usual is the
+median: three temperatures hardly tell the scatter, and sigmas would be those of a sensor that scatters twice that."""
 _PARTS = {
     f"{triad}_{part}": tuple(f"{triad}_{quantity}" for quantity in quantities)
     for triad in ("gyroscope", "accelerometer")
@@ -112,7 +115,7 @@ def fit_turned(
         values=scalars.values[:, at],
         covariances=scalars.covariances[:, at[:, None], at],
         blocks={
-            name: replace(block, usual=block.usual * _BESIDE.get(name, 1.0))
+            name: replace(block, usual=_MEDIAN * block.usual * _BESIDE.get(name, 1.0))
             for name, block in zip(kept, scalars.blocks(), strict=True)
         },
     )

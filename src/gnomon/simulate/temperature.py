@@ -17,7 +17,7 @@ _MARGIN_K = 5.0
 _SIZES = {"gyroscope": (5e-4, 1e-5, 3e-7), "accelerometer": (5e-3, 1e-4, 3e-6)}
 """Usual sizes of the coefficients [rad/s/K^j], [m/s^2/K^j], as of low-cost chips."""
 _SMALLER, _ACROSS = 50.0, 0.3
-"""Of a sensitivity's coefficients: each one from the one before [K], and axes from scales."""
+"""Of a sensitivity's coefficients: each one from the one before [K], and axes from scales; these scatter alike."""
 
 
 @value_class
@@ -70,9 +70,9 @@ def simulate_temperature(scenario: TemperatureScenario, seed: int = 0) -> Temper
     return TemperatureSimulation(recordings=recordings, degc=degc, truth=truth)
 
 
-def _change(triad: str, size: float, rng: np.random.Generator) -> Floats:
+def _change(triad: str, size: float, rng: np.random.Generator, across: float = _ACROSS) -> Floats:
     """Return a relative change of a sensitivity, (3, 3), of the accelerometer's in frame accel-x."""
-    change = size * rng.standard_normal((3, 3)) * np.where(np.eye(3), 1.0, _ACROSS)
+    change = size * rng.standard_normal((3, 3)) * np.where(np.eye(3), 1.0, across)
     return np.tril(change) if triad == "accelerometer" else change
 
 
@@ -94,7 +94,7 @@ def _turned(
         triads: dict[str, TriadSamples] = {}
         for name in ("accelerometer", "gyroscope"):
             triad, bias = getattr(samples, name), getattr(sensor, name).bias
-            values = triad.values + (triad.values - bias) @ _change(name, scenario.sensitivity_scatter, rng).T
+            values = triad.values + (triad.values - bias) @ _change(name, scenario.sensitivity_scatter, rng, 1.0).T
             values = truth.from_reference(name, values, course, bias) + turn_on[name] * rng.standard_normal(3)
             triads[name] = TriadSamples(t_ns=triad.t_ns, values=values, unit=triad.unit)
         read = _thermometer(scenario, samples.gyroscope.t_ns, course, rng)

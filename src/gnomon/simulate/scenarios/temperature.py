@@ -49,8 +49,8 @@ class TemperatureScenario:
     sensitivity: float = 1e-4
     """Usual size of their first coefficients, relative, in 1/K."""
 
-    sensitivity_scatter: float = 1e-4
-    """Scatter of the sensitivities from one switching-on to the next, relative."""
+    sensitivity_scatter: float = 1.5e-4
+    """Scatter of scales, and of misalignments in rad, from one switching-on to the next, as of eight MPU-9150."""
 
     lag_s: float = 0.0
     """By which the thermometer follows the sensor, in seconds."""
