@@ -14,6 +14,8 @@ _OFF_Z = 3.5
 _STIRRED = 0.02
 _FALL = 0.5
 """Of the range, by which a temperature falls from the beginning to the end of a recording."""
+_COLDEST_DEGC = -40.0
+"""Chips are specified from here on; rooms, freezers and climate chambers in which one cools are warmer."""
 _SHOWN = {"gyroscope": (1e3, "mrad/s"), "accelerometer": (1e3, "mm/s^2")}
 
 
@@ -41,7 +43,8 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
             axis, recording, z = off
             findings.append(make_finding("sensitivities-differ", name=name, axis=axis, recording=recording, z=z))
     if (fall := _fall(result)) is not None:
-        findings.append(make_finding("temperature-falls", fall=fall))
+        kind = "beyond" if low < _COLDEST_DEGC else "cools"
+        findings.append(make_finding(f"temperature-falls/{kind}", fall=fall, low=low, high=high))
     if result.lag_s:
         findings.append(make_finding("thermometer-lag", lag=result.lag_s, sigma=result.lag_sigma_s))
     if len(result.names) == 1:
