@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.temperature.bias_drift import DriftProblem, DriftVariances, WarmUp, left_out_deviations
+from gnomon.estimate.temperature.bias_drift import (
+    DriftProblem,
+    DriftVariances,
+    WarmUp,
+    choose_order,
+    left_out_deviations,
+)
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 
@@ -87,21 +93,22 @@ def test_the_range_is_that_of_the_sensor_not_of_a_thermometer_that_lags():
     assert abs(result.high_degc - true) < 0.25
 
 
-def test_a_thermometer_that_counts_backwards_is_named():
-    scenario = TemperatureScenario(recordings=2, order=1, rate_hz=10.0, duration_s=600.0)
-    made = simulate_temperature(scenario, 10)
-
-    def codes(sign):
-        imus = [one.imus["imu0"] for one in made.recordings]
-        read = [replace(imu.temperature, values=sign * imu.temperature.values) for imu in imus]
-        recordings = [
-            gnomon.Recording(imus={"imu0": replace(imu, temperature=one)}) for imu, one in zip(imus, read, strict=True)
-        ]
-        result = gnomon.calibrate_temperature(recordings)
-        return {finding.code for finding in result.calibration.assessment.findings}
-
-    assert "temperature-falls" in codes(-1)
-    assert "temperature-falls" not in codes(1)
+@pytest.mark.parametrize(
+    ("start_degc", "end_degc", "sign", "severity"),
+    [(0.0, 60.0, -1, "warning"), (0.0, 60.0, 1, None), (60.0, 22.0, 1, "info"), (22.0, -20.0, 1, "info")],
+    ids=["backwards", "warm-up", "oven to room", "room to freezer"],
+)
+def test_a_thermometer_that_counts_backwards_is_told_from_a_sensor_that_cools(start_degc, end_degc, sign, severity):
+    scenario = TemperatureScenario(
+        recordings=2, order=0, rate_hz=10.0, duration_s=600.0, start_degc=start_degc, end_degc=end_degc
+    )
+    recordings = []
+    for one in simulate_temperature(scenario, 10).recordings:
+        imu = one.imus["imu0"]
+        read = replace(imu.temperature, values=sign * imu.temperature.values)
+        recordings.append(gnomon.Recording(imus={"imu0": replace(imu, temperature=read)}))
+    findings = gnomon.calibrate_temperature(recordings).calibration.assessment.findings
+    assert next((one.severity for one in findings if one.code == "temperature-falls"), None) == severity
 
 
 def test_a_temperature_that_changes_by_rounding_alone_has_no_trend():
@@ -122,3 +129,30 @@ def test_a_lag_is_found_beside_a_line_without_a_cubic_that_hides_it():
     )
     result = gnomon.calibrate_temperature(simulate_temperature(scenario, 12).recordings)
     assert abs(result.lag_s - 60.0) < 6.0
+
+
+def lagging(truth, seed=0):
+    """Warm-ups of three axes whose `truth` is of the temperature and of that by a longer lag."""
+    rng = np.random.default_rng(seed)
+    t_s = np.linspace(0.0, 900.0, 40)
+    degc = 25 - 25 * np.cos(np.pi * t_s / 900)
+    longer = degc + 6.0 * np.gradient(degc, t_s)
+    parts = [truth(degc, longer) + rng.normal(0.0, 1e-6, (40, 3)) for _ in range(3)]
+    warm_ups, nearby = (
+        [WarmUp(t_s=t_s, degc=at, step_k=0.01, samples=np.full(40, 100.0), values=values) for values in parts]
+        for at in (degc, longer)
+    )
+    return DriftProblem(warm_ups=warm_ups, reference_degc=25.0, nearby=nearby)
+
+
+@pytest.mark.parametrize(
+    ("truth", "order"),
+    [
+        (lambda degc, longer: np.stack([1e-4 * degc, 1e-3 * degc + 1e-6 * degc**2, 1e-3 * degc], axis=1), 2),
+        (lambda degc, longer: np.stack([1e-4 * longer, 1e-3 * longer, 1e-3 * longer], axis=1), 1),
+    ],
+    ids=["one axis alone is bent", "a wrong lag bends all"],
+)
+def test_a_curve_is_put_down_to_the_lag_only_where_it_would_bend_all_axes(truth, order):
+    variances = [DriftVariances(white=1e-10, walk=1e-14, turn_on=1e-12, reading=0.0)] * 3
+    assert choose_order(lagging(truth), (0, 1, 2), 2, variances) == order

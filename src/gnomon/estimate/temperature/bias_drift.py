@@ -21,6 +21,7 @@ from scipy.stats import chi2
 
 from ...frozen import value_class
 from ...recording import Floats
+from ..trust.between_recordings import scaled_inverse
 
 _LIKELY = 1e-5
 """Probability by chance below which an order is taken up."""
@@ -114,10 +115,12 @@ class AxisDrift:
     ----------
     coefficients : (1 + order,) value at the reference, then p_1, p_2, ... [unit per K^j]
     covariance : (1 + order, 1 + order) of these
+    by_lag : (1 + order,) what one standard deviation of the lag changes, the same lag for all axes; in the covariance
     """
 
     coefficients: Floats
     covariance: Floats
+    by_lag: Floats
 
 
 @value_class
@@ -184,18 +187,19 @@ def fit_variances(
 def fit_drift(problem: DriftProblem, axis: int, order: int, variances: DriftVariances) -> AxisDrift:
     """Return the polynomial of an axis by generalised least squares; what the lag leaves open is in its covariance."""
     found, covariance = _least_squares(_pieces(problem, axis, order), variances)
+    by_lag = np.zeros_like(found)
     if problem.nearby is not None:
         with_longer_lag = replace(problem, warm_ups=problem.nearby, nearby=None)
-        moved = fit_drift(with_longer_lag, axis, order, variances).coefficients - found
-        covariance = covariance + np.outer(moved, moved)
-    return AxisDrift(coefficients=found, covariance=covariance)
+        by_lag = fit_drift(with_longer_lag, axis, order, variances).coefficients - found
+    return AxisDrift(coefficients=found, covariance=covariance + np.outer(by_lag, by_lag), by_lag=by_lag)
 
 
 def choose_order(problem: DriftProblem, axes: Sequence[int], most: int, variances: Sequence[DriftVariances]) -> int:
     """Return the order of a triad's polynomials that the recordings prove.
 
     An order is taken up where its coefficients of all axes together are no chance, and, where there are several
-    warm-ups, those left out are foretold better with it.
+    warm-ups, those left out are foretold better with it. A wrong lag of the one thermometer bends all axes at once: a
+    curve of one axis is not put down to a lag that would bend the others, too.
 
     Parameters
     ----------
@@ -207,8 +211,11 @@ def choose_order(problem: DriftProblem, axes: Sequence[int], most: int, variance
     order = 0
     for higher in range(1, most + 1):
         drifts = [fit_drift(problem, axis, higher, one) for axis, one in pairs]
-        size = sum(float(drift.coefficients[-1] ** 2 / drift.covariance[-1, -1]) for drift in drifts)
-        if chi2.sf(size, len(axes)) > _LIKELY:
+        last = np.array([drift.coefficients[-1] for drift in drifts])
+        by_lag = np.array([drift.by_lag[-1] for drift in drifts])
+        covariance = np.outer(by_lag, by_lag)
+        np.fill_diagonal(covariance, [drift.covariance[-1, -1] for drift in drifts])
+        if chi2.sf(float(last @ scaled_inverse(covariance) @ last), len(axes)) > _LIKELY:
             continue
         if len(problem.warm_ups) > 1:
             before, after = (
@@ -344,8 +351,7 @@ def _least_squares(pieces: Sequence[_Piece], variances: DriftVariances) -> tuple
         weighted = cho_solve(_factor(one.covariance(variances)), np.column_stack([one.X, one.y]))
         normal += one.X.T @ weighted[:, :-1]
         right += one.X.T @ weighted[:, -1]
-    scale = 1 / np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    covariance = scaled_inverse(normal)
     return covariance @ right, covariance
 
 

@@ -120,13 +120,13 @@ def regress_estimates(
         for scalar in block.index:
             X[:, scalar, start[scalar] : start[scalar + 1]] = own
     weights = np.linalg.inv(within + np.diag(variance))
-    covariance = _inverse(np.einsum("kip,kij,kjq->pq", X, weights, X, optimize=True))
+    covariance = scaled_inverse(np.einsum("kip,kij,kjq->pq", X, weights, X, optimize=True))
     found = covariance @ np.einsum("kip,kij,kj->p", X, weights, values, optimize=True)
     return RegressedEstimate(start=start, coefficients=found, covariance=covariance, scatter=np.sqrt(variance))
 
 
-def _inverse(normal: Floats) -> Floats:
-    """Return the inverse of a matrix whose rows may be of different units."""
+def scaled_inverse(normal: Floats) -> Floats:
+    """Return the inverse of a positive definite matrix whose rows may be of different units."""
     scale = 1 / np.sqrt(np.diag(normal))
     return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
