@@ -5,6 +5,7 @@
     python benchmarks/live.py faults                    planted faults and healthy captures
     python benchmarks/live.py kill                      kill -9 at random moments
     python benchmarks/live.py coach                     CPU time and memory of a long capture
+    python benchmarks/live.py rig --seconds 60          a camera at 30 Hz with an IMU at 200 Hz
 
 The hand turns the sensor to where it is asked to with 10 degrees of noise, pays no attention one time in five, and
 takes about 4 s a step. Unguided, it takes attitudes at random, and is told by the same rule when it is enough; the
@@ -29,12 +30,15 @@ import numpy as np
 import gnomon
 from gnomon.assess.needs import needs_of_use
 from gnomon.live.hand import SimulatedHand, imu_sentence
+from gnomon.live.image_sources import ImageArrival, ImageSource
 from gnomon.live.prospect import look_ahead
+from gnomon.live.rig_session import RigSession
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import LiveSource, open_source
 from gnomon.options.requirements import USES
 from gnomon.results.calibration import calibration_parameters
-from gnomon.simulate import Scenario
+from gnomon.simulate import CameraImuScenario, Scenario, simulate_camera_imu
+from gnomon.simulate.images.board_images import simulated_images
 
 TUTORIAL = 36
 LONGEST_S = 400.0
@@ -305,9 +309,64 @@ def study_coach(minutes):
         session.end_recording()
 
 
+class PacedImages(ImageSource):
+    """Images that were rendered before, in the order of time and back again, at 30 Hz whatever becomes of them."""
+
+    def __init__(self, images, begin_ns, rate_hz=30.0):
+        super().__init__()
+        self.images, self.begin_ns, self.rate_hz, self.late_s = [*images, *images[::-1]], begin_ns, rate_hz, []
+        self.taken = 0
+
+    def arriving_images(self, stop):
+        began_s = time.monotonic()
+        while not stop.is_set():
+            due_s = self.taken / self.rate_hz
+            ahead_s = due_s - (time.monotonic() - began_s)
+            if ahead_s > 0:
+                stop.wait(ahead_s)
+            self.late_s.append(time.monotonic() - began_s - due_s)
+            yield ImageArrival(self.begin_ns + round(due_s * 1e9), self.images[self.taken % len(self.images)])
+            self.taken += 1
+
+
+def study_rig(seconds):
+    """Record a camera at 30 Hz and an IMU at 200 Hz, both in real time, and look at them as the command does."""
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=4.0, camera_rate_hz=30.0), 1)
+    frames = simulated_images(simulation).streams["cam0"].frames([])
+    images = [frame.decode() for frame in frames]
+    source, hand = PacedImages(images, 10**18), open_source("simulate:1")
+    with tempfile.TemporaryDirectory() as place:
+        lens, use = simulation.recording.cameras["cam0"].camera, USES["vio"]
+        session = RigSession(source, hand, Path(place) / "rec", simulation.target, lens=lens, use=use)
+        cpu_s, looks = time.process_time(), []
+        session.begin_recording()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            time.sleep(0.5)
+            began_s = time.monotonic()
+            session.look_at_arrivals()
+            session.document()
+            session.picture()
+            looks.append(time.monotonic() - began_s)
+        session.end_recording()
+        cpu_s = time.process_time() - cpu_s
+        there = len(list((Path(place) / "rec/cam0").glob("*.png")))
+    late_ms = 1e3 * np.quantile(source.late_s, [0.5, 0.95, 1.0])
+    print(
+        f"{len(source.late_s)} frames due, {session.images.written} taken, {there} in the folder; "
+        f"{session.samples.recorder.written} samples, {session.samples.recorder.damaged} damaged"
+    )
+    print(f"a frame is taken {late_ms[0]:.0f} ms late (median), {late_ms[1]:.0f} (p95), {late_ms[2]:.0f} (most)")
+    print(
+        f"a look takes {1e3 * np.median(looks):.0f} ms (median), {1e3 * max(looks):.0f} (most); "
+        f"{cpu_s / seconds:.2f} of a core, and {resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime / seconds:.2f} "
+        f"in processes; {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB"
+    )
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("hand", "serial", "faults", "kill", "coach"))
+    parser.add_argument("what", choices=("hand", "serial", "faults", "kill", "coach", "rig"))
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=10.0)
@@ -320,6 +379,8 @@ def main():
         study_faults(given.seeds[0])
     elif given.what == "kill":
         study_kill(given.seeds[0])
+    elif given.what == "rig":
+        study_rig(given.seconds)
     else:
         study_coach(given.minutes)
 

@@ -21,6 +21,7 @@ COVERAGE_FACTOR = 2.0
 """Of the expanded uncertainty; about 95 %."""
 _LEAST = 1e-12
 """Of the variance: a smaller share is the rounding of a difference."""
+Kind = Literal["A", "B", "A, B"]
 
 
 @value_class(eq=True)
@@ -30,7 +31,7 @@ class UncertaintySource:
     Attributes
     ----------
     name : such as "independent noise"
-    kind : of its evaluation, by statistics of the recording (A) or not (B)
+    kind : of its evaluation, by statistics of the recording (A) or not (B), or both together
     amount, unit : standard deviation of what is normal, half width of what is rectangular; and its unit
     distribution, divisor : by which the amount becomes a standard uncertainty
     sensitivity : change of the quantity by a unit of the source
@@ -38,7 +39,7 @@ class UncertaintySource:
     """
 
     name: str
-    kind: Literal["A", "B"]
+    kind: Kind
     amount: float
     unit: str
     distribution: Literal["normal", "rectangular"]
@@ -77,8 +78,8 @@ class QuantityBudget:
 def uncertainty_budget(calibration: Calibration) -> tuple[QuantityBudget, ...]:
     """Return the budget of each block that was estimated, by the scalar of it that is least certain.
 
-    Of cameras with an IMU the uncertainties of gravity and of the detector are within the others: one recording's
-    calibration does not keep them apart.
+    Of cameras with an IMU the uncertainties of gravity and of the detector are together with noise: its calibration
+    does not keep them apart.
     """
     names, variance = calibration.uncertainty.names, np.diag(calibration.uncertainty.matrix)
     blocks: dict[str, list[int]] = {}
@@ -150,7 +151,7 @@ def _of_the_recording(calibration: Calibration, index: int, unit: str, rest: flo
     assessment, name = calibration.assessment, calibration.uncertainty.names[index]
     path, trust = name.partition("[")[0], assessment.trust
 
-    def source(words: str, variance: float, kind: Literal["A", "B"] = "A") -> UncertaintySource:
+    def source(words: str, variance: float, kind: Kind = "A") -> UncertaintySource:
         sigma = sqrt(variance)
         return UncertaintySource(
             name=words, kind=kind, amount=sigma, unit=unit, distribution="normal", sensitivity=1.0, variance=variance
@@ -163,5 +164,8 @@ def _of_the_recording(calibration: Calibration, index: int, unit: str, rest: flo
     else:
         ratio = trust.sigma_ratio.get(path, 1.0) if trust.covariance == "cluster-robust" else 1.0
         independent = rest / max(1.0, ratio) ** 2 if ratio > 0 else rest
-        yield source("independent noise", independent)
+        if calibration.imus and calibration.cameras:
+            yield source("noise, gravity, detector", independent, "A, B")
+        else:
+            yield source("independent noise", independent)
         yield source("errors that last", rest - independent)

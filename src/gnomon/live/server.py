@@ -10,9 +10,10 @@ import threading
 import time
 import webbrowser
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from ..errors import RecordingError
 from ..local_server import LocalServer
@@ -73,6 +74,14 @@ class LivePage(LocalServer):
     def push_address(self) -> str:
         """Where a phone sends its samples to."""
         return self.address_of("/push")
+
+    def draw_address(self, out: TextIO) -> None:
+        """Draw the address, or that to push to, as a QR code in a terminal; it holds the token."""
+        with suppress(ImportError):  # the address is printed as well
+            import segno
+
+            pushed = isinstance(self.session.source, PushSource)
+            segno.make(self.push_address if pushed else self.address, error="l").terminal(out, compact=True)
 
     def open_in_browser(self) -> None:
         """Show the page."""

@@ -3,7 +3,9 @@
 import http.client
 import json
 import time
+from io import StringIO
 
+import numpy as np
 import pytest
 
 pytest.importorskip("uvicorn")
@@ -44,7 +46,8 @@ def test_the_page_asks_nothing_of_others(page):
     assert b"https:" not in text
     assert "default-src 'none'" in headers["content-security-policy"]
     assert "HttpOnly" in headers["set-cookie"]
-    assert answer(page, "/live.js")[0] == answer(page, "/live.css")[0] == 200
+    assert {answer(page, path)[0] for path in ("/live.js", "/imu.js", "/live.css")} == {200}
+    assert answer(page, "/picture")[0] == answer(page, "/camera.js")[0] == 404
     assert answer(page, "/live.js", token=False, Cookie=f"gnomon-{page.port}={page.token}")[0] == 200
 
 
@@ -86,3 +89,14 @@ def test_stop_from_the_page_ends_the_recording(page):
 
 def test_events_tell_the_state(page):
     assert answer(page, "/events")[1] == b"event: state\n"
+
+
+def test_the_address_is_drawn_as_a_code_that_a_camera_reads(page):
+    segno, cv2 = pytest.importorskip("segno"), pytest.importorskip("cv2")
+    drawn, expected = StringIO(), StringIO()
+    page.draw_address(drawn)
+    code = segno.make(page.push_address, error="l")
+    code.terminal(expected, compact=True)
+    assert drawn.getvalue() == expected.getvalue() != ""
+    image = np.array([[255 * (not dark) for dark in row] for row in code.matrix_iter(scale=6)], np.uint8)
+    assert cv2.QRCodeDetector().detectAndDecode(image)[0] == page.push_address

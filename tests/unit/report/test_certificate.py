@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from camera_imu_result import make_camera_imu_result
 from gnomon.assess.priors import gravity_part
 from gnomon.assess.uncertainty_budget import uncertainty_budget
 from gnomon.cli.command import CertificateFacts
@@ -81,6 +82,15 @@ def test_the_budget_adds_up_and_tells_gravity_from_the_recording(make_result):
     assert {source.distribution for source in rotating if source.name == "rate of the earth"} <= {"rectangular"}
     rows = next(table for table in certificate_tables(calibration) if "comes from" in table.title).rows
     assert len(rows) == sum(1 + len(budget.sources) for budget in budgets.values())
+
+
+def test_the_budget_of_a_rig_says_what_it_does_not_tell_apart():
+    calibration = make_camera_imu_result().calibration
+    for budget in uncertainty_budget(calibration):
+        assert sum(source.variance for source in budget.sources) == pytest.approx(budget.sigma**2, rel=1e-9)
+        assert {(source.name, source.kind) for source in budget.sources} <= {
+            ("noise, gravity, detector", "A, B"), ("errors that last", "A"), ("prior, not determined here", "B"),
+        }  # fmt: skip
 
 
 @pytest.mark.parametrize("facts", [{"date": "31.3.2026"}, {"date": "2026-02-30"}, {"temperature_c": float("nan")}])

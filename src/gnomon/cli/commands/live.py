@@ -192,6 +192,8 @@ class Live(Command):
         page = LivePage(session, port=self.port, lan=self.lan)
         page.begin_serving()
         terminal.print(f"page         {page.address}")
+        if self.lan and sys.stderr.isatty():
+            page.draw_address(sys.stderr)
         if isinstance(session.source, PushSource):
             terminal.print(f"push to      {page.push_address}")
         if self.browser:

@@ -15,10 +15,19 @@ function beep(pitch) {
   tone.stop(audio.currentTime + 0.2);
 }
 
+function speak(text) {
+  if (!$("speech").checked || !window.speechSynthesis) return;
+  speechSynthesis.cancel();
+  speechSynthesis.speak(Object.assign(new SpeechSynthesisUtterance(text), { lang: "en" }));
+}
+
 // what is said, and how it ended; the words on the numbers come from the page
 function showCommon(next, numbers) {
   const advice = next.stopped ? "Calibrating." : next.advice;
-  if (advice.replace(/\d+/g, "") !== shown.replace(/\d+/g, "")) $("advice").textContent = advice; // not each second aloud
+  if (advice.replace(/\d+/g, "") !== shown.replace(/\d+/g, "")) { // not each second aloud
+    $("advice").textContent = advice;
+    speak(advice);
+  }
   shown = advice;
   $("advice").className = next.confirmed ? "enough" : "";
   $("stop").className = next.confirmed ? "enough" : "";

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import Source, measurable_numbers
 from ..files import TextFile
+from .number_table import parse_number_table
 
 _HEAD_BYTES = 65_536
 _HEAD_LINES = 100
@@ -184,7 +185,7 @@ def parse_columns(
 
     Returns
     -------
-    columns : one array (n,) per column; strings cut to one byte where they are not wanted
+    columns : one array (n,) per column, of any kind where it is not wanted
     note : a sentence on a last line that was cut off and left out, or None
 
     Raises
@@ -195,6 +196,19 @@ def parse_columns(
     data, note = _without_cut_line(file, layout)
     if layout.decimal_comma:
         data = data.replace(b",", b".")
+    columns: list[Column] | None = parse_number_table(data, layout.offset, layout.delimiter, [k or "f8" for k in kinds])
+    if columns is None:
+        columns = _any_columns(file, layout, kinds, data, may_be_lost)
+    numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]
+    if not all(measurable_numbers(column).all() for column in numbers):
+        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(
+            f"{file.name}: NaN or infinity in the table."
+        )
+    return columns, note
+
+
+def _any_columns(file: TextFile, layout: TextLayout, kinds: list[str], data: bytes, may_be_lost: bool) -> list[Column]:
+    """Return the columns of a table with text in it, comments, or numbers in any notation."""
     fields = [(f"c{i}", kind or "S1") for i, kind in enumerate(kinds)]
     stream = io.BytesIO(data)
     stream.seek(layout.offset)
@@ -210,13 +224,7 @@ def parse_columns(
         )
     except ValueError as error:
         raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(f"{file.name}: {error}") from None
-    columns = [table[name] for name, _ in fields]
-    numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]
-    if not all(measurable_numbers(column).all() for column in numbers):
-        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(
-            f"{file.name}: NaN or infinity in the table."
-        )
-    return columns, note
+    return [table[name] for name, _ in fields]
 
 
 def _without_cut_line(file: TextFile, layout: TextLayout) -> tuple[bytes, str | None]:

@@ -21,7 +21,7 @@ _WIDTH, _HEIGHT = 8.27, 11.69
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.09, 0.91, 0.955, 0.05
 _LINE = 0.0148
 """Height of a line of text, in heights of the page."""
-_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0), 7: (0.0, 0.35, 0.57, 0.73, 0.83, 0.91, 1.0)}
+_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0), 7: (0.0, 0.36, 0.58, 0.70, 0.815, 0.91, 1.0)}
 """Number of columns -> where they begin, or end where they hold numbers, in widths of the text."""
 _BESIDE_BUDGET = 8
 """Lines of the page that its title, head and caption take."""

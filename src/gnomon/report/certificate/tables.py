@@ -112,13 +112,14 @@ def budget_table(calibration: Calibration) -> ReportTable:
                     f"\u2003{source.name}",
                     source.kind,
                     f"{number_text(source.amount, 2)}{stated}",
-                    "√3 (rectangular)" if source.distribution == "rectangular" else "1 (normal)",
+                    "√3 (rect.)" if source.distribution == "rectangular" else "1 (normal)",
                     number_text(source.sensitivity, 2),
                     number_text(source.variance**0.5, 2),
                     f"{fixed_text(100 * share, 1)}\u00a0%",
                 )
             )
-    within = " Of a rig, gravity and detector are within the others, not apart." if calibration.cameras else ""
+    rig = calibration.imus and calibration.cameras
+    within = " Noise, and what gravity and detector leave uncertain, are not told apart here." if rig else ""
     return ReportTable(
         BUDGET_TITLE,
         ("quantity, and its sources", "type", "amount", "divisor", "sensitivity", "u", "share"),
