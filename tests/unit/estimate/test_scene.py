@@ -1,9 +1,12 @@
 """Scenes without a board: path and points from rays and the IMU, and their adjustment."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from gnomon.estimate.camera_imu.noise_found import lasting_factor
 from gnomon.estimate.camera_imu.start.board_poses import resection_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
@@ -111,3 +114,25 @@ def test_poses_before_points_that_lie_anywhere():
     found = resection_poses(exposures, simulation.truth.cameras["cam0"].camera)
     assert np.abs(found[0] - R).max() < 1e-6
     assert np.abs(found[1] - p).max() < 1e-6
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_images_count_less_where_errors_of_a_point_last(memory):
+    rng = np.random.default_rng(4)
+    images, points = 400, 30
+    errors = rng.standard_normal((images, points, 2))
+    for k in range(1, images):
+        errors[k] = memory * errors[k - 1] + np.sqrt(1 - memory**2) * errors[k]
+    frame = np.repeat(np.arange(images), points)
+    exposures = Exposures(
+        frame=np.arange(images),
+        start=np.arange(images + 1) * points,
+        points=np.zeros((len(frame), 3)),
+        pixels=np.zeros((len(frame), 2)),
+        delay_rows=np.zeros(images),
+        point=np.tile(np.arange(points), images),
+    )
+    residual = errors.reshape(-1, 2)
+    sums = SimpleNamespace(residual=residual, comparable=residual, weight=np.ones(len(frame)))
+    expected = np.sqrt((1 + memory) / (1 - memory))  # of an autoregressive process of first order
+    assert lasting_factor(exposures, sums) == pytest.approx(expected, rel=0.1)

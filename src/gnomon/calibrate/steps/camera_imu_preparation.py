@@ -187,12 +187,14 @@ class PreparedCameraImu:
     imus : what is known of each
     findings : what the data doctor noticed
     move : where the board seems to have been moved, or None; the estimation tells whether it was
+    landmarks : whether there was no board, but the landmarks of a scene
     """
 
     inertial: tuple[InertialData, ...]
     imus: tuple[ImuBeforehand, ...]
     findings: tuple[Finding, ...]
     move: BoardMove | None = None
+    landmarks: bool = False
 
     @property
     def origin_ns(self) -> int:
@@ -211,6 +213,7 @@ class PreparedCameraImu:
             walks=tuple(imu.walks for imu in self.imus),
             pixel_sigma=pixel_sigma,
             huber=huber,
+            lasting=self.landmarks,
         )
 
 
@@ -250,7 +253,9 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
             )
         )
     findings += _noise_findings(imus)
-    return PreparedCameraImu(inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings))
+    return PreparedCameraImu(
+        inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings), landmarks=target.kind == "landmarks"
+    )
 
 
 def likely_cause(findings: Sequence[Finding], move: BoardMove | None = None) -> str:

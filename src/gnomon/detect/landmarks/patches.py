@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.so3 import tangent_basis
 from ...models.camera import Camera
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -25,6 +24,7 @@ _BORDER_PX = 14.0
 _SIZES = 0.45, 2.2  # of the area of what is seen, over that in the piece
 _MOST_TURNED = 0.6  # cosine of the angle between both lines of sight
 _STEP_PX = 4.0  # longest
+_NODE_PX = 10.0  # between the places at which a warp is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,24 +109,32 @@ class Landmarks:
         return which, places
 
     def _expected(self, R: Floats, p: Floats) -> tuple[Integers, Floats, Floats]:
-        """Return which landmarks should be in an image, where (k, 2), and how pieces are warped to it (k, 2, 2)."""
-        anchored = np.einsum("nij,nj->ni", self.R_anchor, self.points) + self.p_anchor
+        """Return which landmarks should be in an image, where (k, 2), and what of pieces is about them (k, 9, 2).
+
+        That is where in the piece, from its middle, the nodes of `_nodes` show the plane that faces its camera [px].
+        """
+        sight = self.points + np.einsum("nji,nj->ni", self.R_anchor, self.p_anchor)
         placed = self.points @ R.T + p
-        now, then = self.camera.project(placed), self.camera.project(anchored)
-        assert now.by_point is not None
-        assert then.by_point is not None
-        across = tangent_basis(anchored / np.linalg.norm(anchored, axis=1, keepdims=True))
-        turned = np.einsum("ij,nkj,nkl->nil", R, self.R_anchor, across)
+        pixels = self.camera.project(placed, point_jacobian=False).pixels
+        limit = np.array(self.camera.resolution) - 1 - _BORDER_PX
         with np.errstate(all="ignore"):
-            there, here = then.by_point @ across, now.by_point @ turned
-            size = np.linalg.det(here) / np.linalg.det(there)
-            seen = np.einsum("nij,nj->ni", np.swapaxes(self.R_anchor, 1, 2), anchored) @ R.T  # lines of sight
-            cosine = np.einsum("ni,ni->n", seen, placed)
-            cosine /= np.linalg.norm(seen, axis=1) * np.linalg.norm(placed, axis=1)
-            limit = np.array(self.camera.resolution) - 1 - _BORDER_PX
-            inside = ((now.pixels >= _BORDER_PX) & (now.pixels <= limit)).all(axis=1)
-        which = np.flatnonzero(inside & (size > _SIZES[0]) & (size < _SIZES[1]) & (cosine > _MOST_TURNED))
-        return which, now.pixels[which], there[which] @ np.linalg.inv(here[which])
+            cosine = np.einsum("ni,ni->n", sight @ R.T, placed)
+            cosine /= np.linalg.norm(sight, axis=1) * np.linalg.norm(placed, axis=1)
+            inside = ((pixels >= _BORDER_PX) & (pixels <= limit)).all(axis=1)
+        which = np.flatnonzero(inside & (cosine > _MOST_TURNED))
+        rays, known = self.camera.unproject((pixels[which, None] + _nodes()).reshape(-1, 2))
+        rays = np.where(known[:, None], rays, np.nan).reshape(len(which), -1, 3) @ R
+        away = np.einsum("ni,ni->n", sight[which], placed[which] @ R)[:, None]
+        with np.errstate(all="ignore"):
+            met = rays * (away / np.einsum("nsi,ni->ns", rays, sight[which]))[:, :, None] - p @ R  # in the scene
+        anchored = met @ np.swapaxes(self.R_anchor[which], 1, 2) + self.p_anchor[which, None]
+        there = self.camera.project(anchored.reshape(-1, 3), point_jacobian=False).pixels.reshape(len(which), -1, 2)
+        about = there - there[:, 4:5]
+        along, across = about[:, 5] - about[:, 3], about[:, 7] - about[:, 1]
+        with np.errstate(all="ignore"):
+            size = (2 * _NODE_PX) ** 2 / (along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])
+        kept = np.isfinite(about).all(axis=(1, 2)) & (size > _SIZES[0]) & (size < _SIZES[1])
+        return which[kept], pixels[which[kept]], about[kept]
 
     def _aligned(
         self, level: _Level, image: NDArray[np.float32], which: Integers, places: Floats, warps: Floats
@@ -148,7 +156,7 @@ class Landmarks:
 
     def _templates(self, level: _Level, which: Integers, warps: Floats) -> tuple[Floats, Floats]:
         """Return how pieces should look (k, s), of unit length about their mean, and their slopes (k, s, 2) per px."""
-        wider = _grid(level, 1) @ np.swapaxes(warps, 1, 2)
+        wider = _node_weights(_grid(level, 1)) @ warps
         centre = np.stack([np.full(len(which), _SIDE // 2), which * _SIDE + _SIDE // 2], axis=1)
         side = 2 * level.half + 3
         values = _looked_up(self.blurred if level.blur_px else self.pieces, centre[:, None] + wider)
@@ -190,6 +198,19 @@ def _grid(level: _Level, border: int = 0) -> Floats:
     reach = np.arange(-level.half - border, level.half + border + 1, dtype=np.float64) * level.stride
     v, u = np.meshgrid(reach, reach, indexing="ij")
     return np.asarray(np.stack([u.ravel(), v.ravel()], axis=1), np.float64)
+
+
+def _nodes() -> Floats:
+    """Return nine places about a pixel (9, 2), row by row [px]."""
+    v, u = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
+    return _NODE_PX * np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+def _node_weights(at: Floats) -> Floats:
+    """Return the weights (s, 9) by which values of the nodes are interpolated at places (s, 2), as quadratics."""
+    t = at / _NODE_PX
+    u, v = np.moveaxis(np.stack([t * (t - 1) / 2, 1 - t * t, t * (t + 1) / 2], axis=2), 1, 0)
+    return np.asarray((v[:, :, None] * u[:, None, :]).reshape(len(at), -1), np.float64)
 
 
 def _looked_up(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:

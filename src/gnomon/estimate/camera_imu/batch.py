@@ -35,12 +35,15 @@ class NoiseLevels:
     walks : for each IMU, random walk of the biases: gyroscope [rad/s/sqrt(s)], accelerometer [m/s^2/sqrt(s)]
     pixel_sigma : for each camera, of a corner per axis [px]
     huber : distance in sigmas from which on a corner counts less
+    lasting : whether errors of a point last from image to image, as those of landmarks do; pixel_sigma is then larger
+        than they are, so that all images together count as much as they tell
     """
 
     imus: tuple[InertialNoise, ...]
     walks: tuple[tuple[float, float], ...]
     pixel_sigma: tuple[float, ...]
     huber: float
+    lasting: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,10 +10,13 @@ import numpy as np
 
 from .batch import NoiseLevels, NormalEquations
 from .gauss_newton import GaussNewtonStep
-from .terms.corner_sums import CornerSums
+from .terms.corner_sums import CornerSums, Exposures
 from .terms.inertial_data import InertialNoise
 from .trajectory import BIAS
 from .walk_noise import found_walks, walk_sums
+
+_LONGEST = 100  # images over which errors of a point may last
+_SMALL = 0.05  # correlation
 
 
 def estimated_noise(lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLevels) -> NoiseLevels:
@@ -41,6 +44,32 @@ def estimated_noise(lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLev
     return replace(
         noise, imus=tuple(imus), pixel_sigma=tuple(pixels), walks=tuple((float(g), float(a)) for g, a in walks)
     )
+
+
+def lasting_factor(exposures: Exposures, sums: CornerSums) -> float:
+    """Return by how much a mean over images scatters more than if the errors of a point were new in each.
+
+    Its square is 1 + 2 sum rho(lag), with the correlations of the residuals of a point in images lag apart, up to the
+    first that is small.
+    """
+    if exposures.point is None:
+        return 1.0
+    weight = np.where(np.isfinite(sums.residual).all(axis=1), sums.weight, 0.0)
+    residual = np.nan_to_num(sums.comparable) * np.sqrt(weight)[:, None]
+    frame = exposures.frame[exposures.of_corner]
+    images = int(frame.max()) + 1
+    place = exposures.point * (images + _LONGEST) + frame
+    order = np.argsort(place, kind="stable")
+    place, residual = place[order], residual[order]
+    own, total = float(np.mean(residual**2)), 1.0
+    for lag in range(1, _LONGEST):
+        at = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
+        pair = np.flatnonzero(place[at] == place + lag)
+        rho = float(np.mean(residual[pair] * residual[at[pair]])) / own if len(pair) else 0.0
+        if rho < _SMALL:
+            break
+        total += 2 * rho
+    return float(np.sqrt(total))
 
 
 def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: float, absorbed: float) -> float:

@@ -12,7 +12,7 @@ from ...solve.bordered_band import Factor, Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
 from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search, step_by
 from .layout import BorderLayout
-from .noise_found import estimated_noise
+from .noise_found import estimated_noise, lasting_factor
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
 from .terms.inertial_data import InertialNoise
 from .walk_noise import next_walk
@@ -174,7 +174,7 @@ def minimise_cost(
     if not lin.probing:
         lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
-        found = estimated_noise(lin, step, noise)
+        found = _shown_noise(measurements, lin, step, noise)
     return Solution(
         state=state,
         measurements=measurements,
@@ -201,7 +201,7 @@ def _judged(
     tolerance: float,
 ) -> _Judged:
     """Judge noise levels, where they change by more than a tolerance, and frames near the minimum."""
-    found = _at_least(estimated_noise(lin, step, noise), first)
+    found = _at_least(_shown_noise(measurements, lin, step, noise), first)
     proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
     kept = _gate_outliers(measurements, lin, noise) if gate else measurements.used
     same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
@@ -250,6 +250,19 @@ def _step(lin: NormalEquations, similar: Factor | None = None) -> GaussNewtonSte
             f"equations are singular: {error}). `gnomon check` on it says what it looks like; else look for long "
             "gaps and corners with wrong ids, or let fewer parameters be estimated."
         ) from error
+
+
+def _shown_noise(
+    measurements: Measurements, lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLevels
+) -> NoiseLevels:
+    """Return the noise levels that the residuals show, those of images by how long errors of a point last."""
+    found = estimated_noise(lin, step, noise)
+    if not noise.lasting:
+        return found
+    cameras = zip(found.pixel_sigma, measurements.visual, lin.sums, strict=True)
+    return replace(
+        found, pixel_sigma=tuple(sigma * lasting_factor(data.exposures, sums) for sigma, data, sums in cameras)
+    )
 
 
 def _at_least(found: NoiseLevels, first: NoiseLevels) -> NoiseLevels:
