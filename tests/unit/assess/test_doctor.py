@@ -132,6 +132,23 @@ def test_a_rate_that_changes_once_is_named_with_its_time() -> None:
     assert "rate-changed" not in findings(with_stamps(samples, to_and_fro))
 
 
+@pytest.mark.parametrize(("end", "severity"), [(1.0, "problem"), (0.545, "warning")])
+def test_an_axis_that_keeps_its_value_while_the_others_go_on(end, severity) -> None:
+    samples = imu()
+    values = samples.accelerometer.values.copy()
+    first, last = len(values) // 2, int(end * len(values))
+    values[first:last, 1] = values[first, 1]
+    found = findings(replace(samples, accelerometer=replace(samples.accelerometer, values=values)))["axis-stuck"]
+    assert found.severity == severity
+    assert f"y keeps the same value from {samples.accelerometer.t_s[first]:.1f} to" in found.message
+
+
+def test_a_coarse_axis_at_rest_is_not_stuck() -> None:
+    samples = imu()
+    coarse = replace(samples.accelerometer, values=np.round(samples.accelerometer.values))
+    assert "axis-stuck" not in findings(replace(samples, accelerometer=coarse))
+
+
 def test_jitter_of_a_few_percent_is_good() -> None:
     samples = imu()
     noise = np.random.default_rng(0).normal(0, 300_000, len(samples.gyroscope)).astype(np.int64)

@@ -246,6 +246,8 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
 
 
 _STUCK_S = 0.25
+_STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
+"""One axis alone: how long, the others' share of their range meanwhile, and from which share it is a problem."""
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
 _MUCH_REPEATED = 0.02  # of all samples
@@ -276,7 +278,7 @@ def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
         axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
         findings.append(make_finding("axis-constant", label=label, axes=axes))
     findings += _saturation(samples, label)
-    findings += _stuck(samples, label)
+    findings += _stuck(samples, label) or _stuck_axis(samples, label)
     findings += check_repeats(samples, label)
     return findings
 
@@ -381,6 +383,35 @@ def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
     together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
     if share > 0.2 and together > 0.5:
         return [make_finding("samples-repeated", label=label, share=share)]
+    return []
+
+
+def _stuck_axis(samples: TriadSamples, label: str) -> list[Finding]:
+    """Look for one axis that keeps its value while the others go on: not at rest, and not at the end of its range."""
+    values = samples.values
+    low, high = axis_extremes(values)
+    spans = high - low
+    least = max(5.0, _STUCK_AXIS_S * samples.rate_hz)
+    for axis in range(3):
+        same = values[1:, axis] == values[:-1, axis]
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+        if not len(edges):
+            continue
+        k = int(np.argmax(edges[1::2] - edges[::2]))
+        run = slice(int(edges[2 * k]), int(edges[2 * k + 1]) + 1)
+        moved = np.ptp(values[run], axis=0) > _OTHERS_MOVE * spans
+        inside = low[axis] < values[run.start, axis] < high[axis]
+        if run.stop - run.start > least and inside and moved.sum() == 2:
+            return [
+                make_finding(
+                    "axis-stuck",
+                    severity="problem" if run.stop - run.start > _MUCH_STUCK * len(values) else "warning",
+                    label=label,
+                    axis="xyz"[axis],
+                    t_from_s=_seconds(samples, run.start),
+                    t_to_s=_seconds(samples, run.stop - 1),
+                )
+            ]
     return []
 
 
