@@ -80,6 +80,7 @@ def test_rising_and_falling_that_differ_are_named():
     assert "temperature-branches" not in {finding.code for finding in healthy.calibration.assessment.findings}
 
 
+@pytest.mark.long
 def test_the_range_is_that_of_the_sensor_not_of_a_thermometer_that_lags():
     scenario = TemperatureScenario(
         recordings=2, order=1, lag_s=60.0, start_degc=0.0, rate_hz=10.0, duration_s=900.0, back=True,
