@@ -41,6 +41,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "stamps-unit": _BENT | {"streams-apart", "clock-drift"},
     "triads-apart": _BENT | {"never-static", "rotations-left-out", "holdout-rotation", "rests-unsteady"},
     "gravity-magnitude": frozenset({"attitudes", "always-static", "unit", "gravity-doubtful"}),
+    "axis-stuck": frozenset({"attitudes", "never-static", "rests-unsteady", "vibration", "gravity-magnitude"}),
     "rate-changed": frozenset({"noise-differs", "imu-rate"}),
     "range-changed": frozenset({"gravity-magnitude", "unit"}),
     "axes-differ": _BENT | {"triads-apart"},

@@ -9,6 +9,7 @@ import numpy as np
 from ...detect.samples.threshold import RestDetection
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
+from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
 from .temperature_checks import check_thermometers
@@ -181,16 +182,18 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     window_s, multiplier : of the static detector, see `ImuOptions`
 
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
-    rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated, samples-skipped;
-    samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady,
-    always-static, attitudes, intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses;
-    temperature, temperature-hot, temperature-implausible.
+    rate, rate-changed, jitter, gaps; signal-constant, axis-constant, axis-stuck, saturation, samples-stuck,
+    samples-repeated, samples-skipped; samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude,
+    range-changed, never-static, rests-unsteady, always-static, attitudes, intervals-left-out, static-start,
+    clocks-apart, triads-apart, vibration; poses; temperature, temperature-hot, temperature-implausible.
 
     Returns
     -------
-    Findings in the order timestamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
+    Findings, those of one IMU by severity, causes before what follows from them; otherwise in the order timestamps,
+    values, motion, IMU by IMU. Severity "problem" means that it cannot be calibrated.
     """
-    return check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
+    findings = check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
+    return merge_by_cause(list(findings)) if len(recording.imus) == 1 else findings
 
 
 def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding, ...]:
