@@ -3,6 +3,7 @@
     python benchmarks/live.py hand --seeds 100 200      rests that guidance needs, and whether the result holds
     python benchmarks/live.py serial --seconds 600      a pseudo-terminal at 1 kHz
     python benchmarks/live.py faults                    planted faults and healthy captures
+    python benchmarks/live.py setup                     what is wrong with camera and IMU together, named early
     python benchmarks/live.py kill                      kill -9 at random moments
     python benchmarks/live.py coach                     CPU time and memory of a long capture
     python benchmarks/live.py rig --seconds 60          a camera at 30 Hz with an IMU at 200 Hz
@@ -22,6 +23,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -35,6 +37,7 @@ from gnomon.live.prospect import look_ahead
 from gnomon.live.rig_session import RigSession
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import LiveSource, open_source
+from gnomon.live.trials import check_setup
 from gnomon.options.requirements import USES
 from gnomon.results.calibration import calibration_parameters
 from gnomon.simulate import CameraImuScenario, Scenario, simulate_camera_imu
@@ -253,6 +256,67 @@ def study_faults(first=0, seeds=10, healthy=20):
     print(f"healthy: {healthy} captures of 60 s, false: {dict(told)}")
 
 
+SWAP = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+SETUPS = {
+    "healthy": lambda imu: imu,
+    "IMU's clock starts 1000 s earlier, which is no fault": lambda imu: both(imu, lambda t: t - 10**12),
+    "IMU's clock fast by 1 %": lambda imu: both(imu, lambda t: t[0] + ((t - t[0]) * 1.01).astype(np.int64)),
+    "accelerometer's x and y exchanged": lambda imu: replace(imu, accelerometer=by(imu.accelerometer, SWAP)),
+    "gyroscope's x and y exchanged": lambda imu: replace(imu, gyroscope=by(imu.gyroscope, SWAP)),
+    "gyroscope's z reversed": lambda imu: replace(imu, gyroscope=by(imu.gyroscope, np.diag([1, 1, -1]))),
+    "accelerometer and gyroscope exchanged": lambda imu: replace(
+        imu,
+        accelerometer=replace(imu.accelerometer, values=imu.gyroscope.values),
+        gyroscope=replace(imu.gyroscope, values=imu.accelerometer.values),
+    ),
+    "gyroscope in deg/s": lambda imu: replace(imu, gyroscope=by(imu.gyroscope, 57.3 * np.eye(3))),
+    "accelerometer 60 ms late": lambda imu: replace(
+        imu, accelerometer=replace(imu.accelerometer, t_ns=imu.accelerometer.t_ns + 60_000_000)
+    ),
+}
+
+
+def both(imu, clock):
+    triads = {name: getattr(imu, name) for name in ("accelerometer", "gyroscope")}
+    return replace(imu, **{name: replace(triad, t_ns=clock(triad.t_ns)) for name, triad in triads.items()})
+
+
+def by(triad, matrix):
+    return replace(triad, values=triad.values @ np.array(matrix, float).T)
+
+
+def beginning(recording, seconds):
+    """Return what was recorded until then, by the camera's clock."""
+    frames, imu = recording.cameras["cam0"], recording.imus["imu0"]
+    count = int(np.searchsorted(frames.t_ns, frames.t_ns[0] + int(seconds * 1e9)))
+    seen, share = frames.frame < count, count / len(frames.t_ns)
+    rows = {name: getattr(frames, name)[seen] for name in ("frame", "point", "pixels")}
+    triads = {name: getattr(imu, name) for name in ("accelerometer", "gyroscope")}
+    firsts = {
+        name: replace(one, t_ns=one.t_ns[: int(share * len(one))], values=one.values[: int(share * len(one))])
+        for name, one in triads.items()
+    }
+    cameras = {"cam0": replace(frames, t_ns=frames.t_ns[:count], **rows)}
+    return replace(recording, cameras=cameras, imus={"imu0": replace(imu, **firsts)})
+
+
+def study_setup(first, seeds=10, healthy=20):
+    """Look at the beginnings of captures of 31 s, as the early checks do."""
+    moments = (6, 10, 14, 18, 24, 31)
+    for name, planted in SETUPS.items():
+        found, codes = [], Counter()
+        for seed in range(first, first + (healthy if name == "healthy" else seeds)):
+            scenario = CameraImuScenario(duration_s=31.0, camera_rate_hz=20.0 if seed % 2 else 10.0)
+            simulation = simulate_camera_imu(scenario, seed)
+            imu = planted(simulation.recording.imus["imu0"])
+            recording = replace(simulation.recording, imus={"imu0": imu})
+            told = [check_setup(beginning(recording, at), simulation.target).faults for at in moments]
+            found.append(next((at for at, faults in zip(moments, told, strict=True) if faults), np.inf))
+            codes.update({fault.code for faults in told for fault in faults})
+        shares = ", ".join(f"{sum(at <= moment for at in found)} by {moment} s" for moment in moments)
+        print(f"{name}: of {len(found)} named {shares}; {dict(codes)}", flush=True)
+
+
 def study_kill(first=0, times=50):
     """Kill a capture of a recording at any moment of it, and calibrate what it left."""
     rng, lost, fewest, outcomes = np.random.default_rng(first), -np.inf, np.inf, Counter()
@@ -366,7 +430,7 @@ def study_rig(seconds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("hand", "serial", "faults", "kill", "coach", "rig"))
+    parser.add_argument("what", choices=("hand", "serial", "faults", "setup", "kill", "coach", "rig"))
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=10.0)
@@ -377,6 +441,8 @@ def main():
         study_serial(given.seconds)
     elif given.what == "faults":
         study_faults(given.seeds[0])
+    elif given.what == "setup":
+        study_setup(given.seeds[0])
     elif given.what == "kill":
         study_kill(given.seeds[0])
     elif given.what == "rig":

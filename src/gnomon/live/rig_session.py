@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..assess.checks.image_checks import ImageStatistics
 from ..detect.boards.board import BoardView
 from ..models.camera import Camera
 from ..models.target import Target
@@ -23,6 +24,8 @@ from .sources import LiveSource
 from .trials import Trial, TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
+_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 4.0, 3.0, 20
+_CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 4.0
 _REMEMBERED = 20_000  # samples
 
@@ -83,7 +86,8 @@ class RigCoach(BoardCoach):
     def __init__(self, target: Target, lens: Camera, motion: MotionCoach) -> None:
         super().__init__(target)
         self._lens, self._motion = lens, motion
-        self._tried_s = 0.0
+        self._tried_s = self._checked_s = 0.0
+        self._setup: tuple[Fault, ...] = ()
         self._foreseen: tuple[tuple[str, float], ...] = ()
 
     def keep_view(self, t_ns: int, view: BoardView, size: tuple[int, int]) -> None:
@@ -95,19 +99,34 @@ class RigCoach(BoardCoach):
 
     def recording_so_far(self) -> Recording:
         """Return the corners of the last two minutes."""
-        self._tried_s = self.state.seconds
+        self._checked_s = self.state.seconds
+        if self.wants_calibration:
+            self._tried_s = self.state.seconds
         return Recording(imus={}, cameras={"cam0": frames_of(self._views, self._lens)})
 
     @property
-    def wants_trial(self) -> bool:
+    def wants_calibration(self) -> bool:
         """Whether the motion so far may be enough."""
         return not self._confirmed and self.state.phase == "trying" and self.state.seconds - self._tried_s >= _AGAIN_S
 
+    @property
+    def wants_trial(self) -> bool:
+        """Whether the motion so far may be enough, or tells of camera and IMU what an early check can find."""
+        due = self.state.seconds - self._checked_s >= max(_CHECK_S, _CHECK_SHARE * self._checked_s)
+        moved = float(self._motion.turned_s.sum()) >= _CHECK_TURNED_S and len(self._views) >= _CHECK_VIEWS
+        return self.wants_calibration or (due and moved)
+
     def take_outcome(self, outcome: TrialOutcome) -> None:
-        """Take what a calibration of the recording so far said."""
+        """Take what a check or a calibration of the recording so far said."""
+        if not outcome.verdict:
+            self._setup = outcome.faults
+            return
         super().take_outcome(outcome)
         self._confirmed = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
         self._foreseen = outcome.needs
+
+    def _faults(self, view: BoardView, statistics: ImageStatistics, *, seen: bool) -> list[Fault]:
+        return [*self._setup, *super()._faults(view, statistics, seen=seen)]
 
     def _needs(self) -> dict[str, float]:
         found = {
@@ -197,4 +216,7 @@ class RigSession(CameraSession):
         return [*super().troubles(), *self.samples.troubles(), *self.samples.coach.state.faults]
 
     def _begin_trial(self) -> Trial:
-        return Trial(self.coach.recording_so_far(), self.coach.target, self._use, self.folder, self._units)
+        coach = self.coach
+        assert isinstance(coach, RigCoach)
+        calibrates = coach.wants_calibration
+        return Trial(coach.recording_so_far(), coach.target, self._use, self.folder, self._units, calibrates=calibrates)

@@ -1,4 +1,4 @@
-"""A calibration of what was recorded so far, in a process of its own, so that nothing waits for it.
+"""A check or a calibration of what was recorded so far, in a process of its own, so that nothing waits for it.
 
 It is started with `python -P -m gnomon.live.trials`: in comes what is to be calibrated, out goes what came of it.
 """
@@ -16,28 +16,33 @@ from ..options.requirements import GENERAL_RIG, Use
 from ..processes import python_command, python_environment
 from ..recording import ImuSamples, Recording
 from ..units import Units
+from .faults import Fault
 
 _NICE = 10
+_TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow", "clock-drift"})
+"""Warnings of `gnomon check` that a longer recording mends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialOutcome:
-    """What came of a calibration.
+    """What came of a check, or of a calibration.
 
     Attributes
     ----------
-    verdict : "pass", "warn" or "fail"
+    verdict : "pass", "warn" or "fail"; "" of a check
     advice : what to do, by its most severe finding; "" where nothing is wrong
     needs : what the use needs -> standard deviation over it
+    faults : of a check, what is wrong with the set-up
     """
 
-    verdict: str
+    verdict: str = ""
     advice: str = ""
     needs: tuple[tuple[str, float], ...] = ()
+    faults: tuple[Fault, ...] = ()
 
 
 class Trial:
-    """One calibration, at work from now on.
+    """One check or calibration, at work from now on.
 
     Parameters
     ----------
@@ -46,6 +51,7 @@ class Trial:
     use : of cameras with an IMU, what they are for
     folder : of those, with the samples and what is known of the IMU
     units : of the samples, as far as they are stated
+    calibrates : a calibration, or a check alone
     """
 
     def __init__(
@@ -55,10 +61,12 @@ class Trial:
         use: Use | None = None,
         folder: Path | None = None,
         units: Units | None = None,
+        *,
+        calibrates: bool = True,
     ) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         stated = {item.name: getattr(target, item.name) for item in fields(target) if item.init}
-        self._message = pickle.dumps((recording, stated, use, folder, units))
+        self._message = pickle.dumps((recording, stated, use, folder, units, calibrates))
         self.outcome: TrialOutcome | None = None
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -110,6 +118,21 @@ def try_calibration(recording: Recording, target: Target, use: Use | None = None
     )
 
 
+def check_setup(recording: Recording, target: Target) -> TrialOutcome:
+    """Check what was recorded so far, and return what no longer recording would mend."""
+    from ..assess.checks.rig_doctor import check_corners
+
+    findings = [
+        finding
+        for finding in check_corners(recording, target)
+        if finding.code != "stream-short"
+        and (finding.severity == "problem" or (finding.severity == "warning" and finding.code not in _TOO_LITTLE))
+    ]
+    return TrialOutcome(
+        faults=tuple(Fault(code=finding.code, text=f"{finding.message} {finding.cure}") for finding in findings)
+    )
+
+
 def _samples_in(folder: Path, units: Units | None) -> dict[str, ImuSamples]:
     """Return the samples so far, as the ordinary command reads them."""
     from ..formats.sensor_inputs import read_imus
@@ -128,10 +151,11 @@ def answer_request() -> None:
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not come between
-    recording, target, use, folder, units = pickle.load(sys.stdin.buffer)
+    recording, stated, use, folder, units, calibrates = pickle.load(sys.stdin.buffer)
     if folder is not None:
         recording = replace(recording, imus=_samples_in(folder, units))
-    outcome = try_calibration(recording, Target(**target), use)
+    target = Target(**stated)
+    outcome = try_calibration(recording, target, use) if calibrates else check_setup(recording, target)
     found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
     pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
     answers.flush()

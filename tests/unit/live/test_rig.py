@@ -1,14 +1,17 @@
 """A guided capture of a camera with an IMU: what was turned and shaken, and what a calibration of it says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.live.faults import Fault
 from gnomon.live.hand import imu_sentence
 from gnomon.live.image_sources import ImageArrival, ImageSource, open_rig_sources
 from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
 from gnomon.live.sources import LiveSource
-from gnomon.live.trials import Trial, TrialOutcome
+from gnomon.live.trials import Trial, TrialOutcome, check_setup
 from gnomon.options.requirements import GENERAL_RIG
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import TriadSamples
@@ -103,6 +106,35 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
     state = show(coach, waved, 1, first=309)
     assert state.confirmed
     assert dict(state.bars)["precision: translation"] == 2.0
+
+
+def turned(waved, matrix):
+    """Return the recording with the gyroscope's axes exchanged."""
+    imu = waved.recording.imus["imu0"]
+    gyroscope = replace(imu.gyroscope, values=imu.gyroscope.values @ np.array(matrix, float))
+    return replace(waved.recording, imus={"imu0": replace(imu, gyroscope=gyroscope)})
+
+
+def test_axes_that_were_exchanged_are_named_by_an_early_check(waved):
+    exchanged = check_setup(turned(waved, [[0, 1, 0], [1, 0, 0], [0, 0, 1]]), waved.target)
+    assert [fault.code for fault in exchanged.faults] == ["axes-differ"]
+    assert check_setup(turned(waved, np.eye(3)), waved.target).faults == ()
+
+
+def test_an_early_check_needs_motion_and_the_board_and_its_faults_are_shown(waved):
+    motion = MotionCoach(GENERAL_RIG)
+    coach = RigCoach(waved.target, waved.recording.cameras["cam0"].camera, motion)
+    show(coach, waved, 60)
+    assert not coach.wants_trial, "nothing was turned"
+    feed(motion, 12, rate=(2.0, 0.0, 2.0))
+    assert coach.wants_trial
+    assert not coach.wants_calibration
+    coach.recording_so_far()
+    assert not coach.wants_trial, "not at once again"
+    coach.take_outcome(TrialOutcome(faults=(Fault(code="clock-jump", text="The clock jumps."),)))
+    assert "clock-jump" in {fault.code for fault in show(coach, waved, 1, first=60).faults}
+    coach.take_outcome(TrialOutcome())
+    assert "clock-jump" not in {fault.code for fault in show(coach, waved, 1, first=61).faults}
 
 
 @pytest.mark.long
