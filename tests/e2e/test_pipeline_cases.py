@@ -150,10 +150,11 @@ def test_too_few_attitudes(attitudes):
         calibrate(usual(attitudes, seed=attitudes).recording())
 
 
-def test_six_to_eight_attitudes_are_judged_by_their_rests():
-    calibration = calibrate(usual(8, seed=8).recording())
+@pytest.mark.parametrize(("attitudes", "warning"), [(8, "few-attitudes"), (9, "few-redundant")])
+def test_six_to_nine_attitudes_are_judged_by_their_rests(attitudes, warning):
+    calibration = calibrate(usual(attitudes, seed=8).recording())
     assert calibration.verdict != "pass"
-    assert "few-attitudes" in codes(calibration, "warning")
+    assert warning in codes(calibration, "warning")
     assert "static-experiment" in codes(calibration)
     assert "rotations-few-attitudes" in codes(calibration)  # which tell the gyroscope's scales, not the unit alone
     assert not {f"imu0.gyroscope.sensitivity[{k},{k}]" for k in range(3)} & set(calibration.assessment.held_by_prior)

@@ -17,7 +17,6 @@ from ..assess.prior_findings import prior_findings
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..assess.weak_findings import imu_weak
 from ..detect.samples.threshold import (
-    FEWEST_INTERVALS,
     RestDetection,
     ThresholdTrial,
     accelerometer_course,
@@ -235,15 +234,9 @@ def _static_intervals(prepared: PreparedImu, options: ImuOptions) -> RestDetecti
         )
     if detection.chosen.fit is None:
         most = max(len(trial.intervals) for trial in detection.trials)
-        if most > FEWEST_INTERVALS:
-            raise DetectionError(
-                f"the {most} static intervals found do not determine the accelerometer: their attitudes are too much "
-                "alike. Hold the sensor still with every axis up once and down once, and in some directions between."
-            )
         raise DetectionError(
-            f"{most} static intervals found, at least {FEWEST_INTERVALS + 1} in different attitudes are needed "
-            "(36 to 50 are best). "
-            "Hold the sensor still for 2 to 4 s in each attitude, better lying on something than in the hand."
+            f"the {most} static intervals found do not determine the accelerometer: their attitudes are too much "
+            "alike. Hold the sensor still with every axis up once and down once, and in some directions between."
         )
     return detection
 

@@ -13,6 +13,7 @@ from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_
 from ..assess.imu.poses_verdict import assess_poses
 from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior
+from ..detect.samples.threshold import FEWEST_INTERVALS
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
 from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
@@ -68,7 +69,7 @@ def by_rests(recording: Recording, options: ImuOptions) -> bool:
 
 
 def left_to_rests(prepared: PreparedImu) -> bool:
-    """Tell whether a recording is a static experiment: few attitudes, or the time between the rests was cut out.
+    """Tell whether a recording is a static experiment: few rests, or the time between them was cut out.
 
     Raises
     ------
@@ -79,7 +80,10 @@ def left_to_rests(prepared: PreparedImu) -> bool:
     silent = problems.get("gyroscope-silent")
     if silent is not None and np.sum(recording_gaps(prepared.accelerometer)) < FEWEST_POSES - 1:
         raise DetectionError(str(silent))
-    return bool(problems)
+    rests = prepared.rests
+    return bool(problems) or (
+        rests is not None and max(len(trial.intervals) for trial in rests.trials) <= FEWEST_INTERVALS
+    )
 
 
 def calibrate_poses(
