@@ -310,7 +310,7 @@ def study_setup(first, seeds=10, healthy=20):
             simulation = simulate_camera_imu(scenario, seed)
             imu = planted(simulation.recording.imus["imu0"])
             recording = replace(simulation.recording, imus={"imu0": imu})
-            told = [check_setup(beginning(recording, at), simulation.target).faults for at in moments]
+            told = [check_setup(beginning(recording, at), simulation.target) for at in moments]
             found.append(next((at for at, faults in zip(moments, told, strict=True) if faults), np.inf))
             codes.update({fault.code for faults in told for fault in faults})
         shares = ", ".join(f"{sum(at <= moment for at in found)} by {moment} s" for moment in moments)

@@ -74,6 +74,28 @@ def test_a_calibration_that_holds_is_said_to_hold(seed):
     assert {block.state for block in found.blocks} == {"holds"}
 
 
+@pytest.mark.parametrize("triad", ["gyroscope", "accelerometer"])
+def test_a_number_that_the_calibration_leaves_out_hides_no_other(triad):
+    _, fresh = sensor(1)
+    assert gnomon.calibrate_imu(fresh).calibration.imus["imu0"].gyroscope.g_sensitivity.any()
+    drawn = {"g_sensitivity": 3e-4, "sensor_seed": 1}
+    recording = simulate(Scenario(**drawn), 1)[0]
+    calibration = gnomon.calibrate_imu(recording, gnomon.ImuOptions(model="basic")).calibration
+    found = gnomon.verify(changed(calibration, **{triad: scaled(1, 1.01)}), fresh)
+    assert f"imu0.{triad}.scale" in {block.path for block in found.moved}
+    assert all(block.sigma.max() < 1 for block in found.blocks)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nine_rests_verify_as_well(seed):
+    drawn = {"g_sensitivity": 0.0, "sensor_seed": seed}
+    calibration = gnomon.calibrate_imu(simulate(Scenario(**drawn), seed)[0]).calibration
+    fresh = simulate(Scenario(**drawn, **SHORT | {"intervals": 9}), seed + 5000)[0]
+    assert gnomon.verify(calibration, fresh).state == "holds"
+    found = gnomon.verify(changed(calibration, gyroscope=scaled(0, 1.01)), fresh)
+    assert "imu0.gyroscope.scale" in {block.path for block in found.moved}
+
+
 def test_a_sign_is_not_taken_for_a_small_change():
     calibration, fresh = sensor(1)
     found = gnomon.verify(changed(calibration, gyroscope=scaled(1, -1.0)), fresh)

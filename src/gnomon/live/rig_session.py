@@ -118,12 +118,11 @@ class RigCoach(BoardCoach):
 
     def take_outcome(self, outcome: TrialOutcome) -> None:
         """Take what a check or a calibration of the recording so far said."""
-        if not outcome.verdict:
-            self._setup = outcome.faults
-            return
-        super().take_outcome(outcome)
-        self._confirmed = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
-        self._foreseen = outcome.needs
+        self._setup = outcome.faults
+        if outcome.verdict:
+            super().take_outcome(outcome)
+            self._confirmed = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
+            self._foreseen = outcome.needs
 
     def _faults(self, view: BoardView, statistics: ImageStatistics, *, seen: bool) -> list[Fault]:
         return [*self._setup, *super()._faults(view, statistics, seen=seen)]

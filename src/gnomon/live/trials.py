@@ -20,19 +20,19 @@ from .faults import Fault
 
 _NICE = 10
 _TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow", "clock-drift"})
-"""Warnings of `gnomon check` that a longer recording mends."""
+"""Findings of `gnomon check` that a longer recording mends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialOutcome:
-    """What came of a check, or of a calibration.
+    """What came of a check, and of a calibration.
 
     Attributes
     ----------
-    verdict : "pass", "warn" or "fail"; "" of a check
+    verdict : "pass", "warn" or "fail"; "" of a check alone
     advice : what to do, by its most severe finding; "" where nothing is wrong
     needs : what the use needs -> standard deviation over it
-    faults : of a check, what is wrong with the set-up
+    faults : what is wrong with cameras and IMU together
     """
 
     verdict: str = ""
@@ -51,7 +51,7 @@ class Trial:
     use : of cameras with an IMU, what they are for
     folder : of those, with the samples and what is known of the IMU
     units : of the samples, as far as they are stated
-    calibrates : a calibration, or a check alone
+    calibrates : whether it is more than a check of cameras and IMU together
     """
 
     def __init__(
@@ -118,18 +118,14 @@ def try_calibration(recording: Recording, target: Target, use: Use | None = None
     )
 
 
-def check_setup(recording: Recording, target: Target) -> TrialOutcome:
+def check_setup(recording: Recording, target: Target) -> tuple[Fault, ...]:
     """Check what was recorded so far, and return what no longer recording would mend."""
     from ..assess.checks.rig_doctor import check_corners
 
-    findings = [
-        finding
+    return tuple(
+        Fault(code=finding.code, text=f"{finding.message} {finding.cure}")
         for finding in check_corners(recording, target)
-        if finding.code != "stream-short"
-        and (finding.severity == "problem" or (finding.severity == "warning" and finding.code not in _TOO_LITTLE))
-    ]
-    return TrialOutcome(
-        faults=tuple(Fault(code=finding.code, text=f"{finding.message} {finding.cure}") for finding in findings)
+        if finding.severity in {"problem", "warning"} and finding.code not in _TOO_LITTLE
     )
 
 
@@ -155,7 +151,9 @@ def answer_request() -> None:
     if folder is not None:
         recording = replace(recording, imus=_samples_in(folder, units))
     target = Target(**stated)
-    outcome = try_calibration(recording, target, use) if calibrates else check_setup(recording, target)
+    outcome = try_calibration(recording, target, use) if calibrates else TrialOutcome()
+    if recording.imus:
+        outcome = replace(outcome, faults=check_setup(recording, target))
     found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
     pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
     answers.flush()

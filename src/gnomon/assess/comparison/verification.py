@@ -239,10 +239,20 @@ def _part(statement: Statement, paths: Sequence[str]) -> Floats:
 
 
 def _without_gravity(covariance: Floats, pull: Floats) -> Floats:
-    """Return a covariance without the error that gravity makes, at least as large as none in any direction."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    spread, axes = np.linalg.eigh((covariance - np.outer(pull, pull)) / np.outer(size, size))
-    return (axes * np.maximum(spread, 1e-9)) @ axes.T * np.outer(size, size)
+    """Return a covariance without the error that gravity makes, at least as large as none in any direction.
+
+    Parameters
+    ----------
+    covariance : (n, n); what counts as exact has zeros, and keeps them
+    pull : (n,) by how much one sigma of gravity changes each number
+    """
+    without = np.zeros_like(covariance)
+    told = np.flatnonzero(np.diag(covariance) > 0)
+    among = np.ix_(told, told)
+    size = np.sqrt(np.diag(covariance)[told])
+    spread, axes = np.linalg.eigh((covariance - np.outer(pull, pull))[among] / np.outer(size, size))
+    without[among] = (axes * np.maximum(spread, 1e-9)) @ axes.T * np.outer(size, size)
+    return without
 
 
 def _without_prior(values: Floats, own: Floats, prior: Floats) -> tuple[Floats, Floats]:
