@@ -53,3 +53,13 @@ def test_triads_of_two_clocks(late_s):
     if found:
         assert f"{abs(late_s):.2f} s" in found[0].message
         assert ("the gyroscope is stirred" in found[0].message) == (late_s > 0)
+
+
+def test_a_clock_of_whole_seconds_does_not_tell_the_clocks_apart():
+    rng = np.random.default_rng(3)
+    t = np.arange(21000) / 100.0
+    moving = np.floor(t / 3.5) % 2 == 1
+    values = [rng.normal(0, 0.01, (len(t), 3)) + moving[:, None] * rng.normal(0, 1, (len(t), 3)) for _ in range(2)]
+    t_ns = (np.floor(t + 0.37) * 1e9).astype(np.int64)
+    first, second = (TriadSamples(t_ns=t_ns, values=v, unit=u) for v, u in zip(values, ("m/s^2", "rad/s"), strict=True))
+    assert check_triad_clocks(ImuSamples(accelerometer=first, gyroscope=second), "imu0") == []

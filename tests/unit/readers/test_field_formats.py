@@ -277,6 +277,37 @@ def test_read_with_the_columns_that_the_message_proposes(write, tmp_path) -> Non
     _check(read(path, columns=proposed[1]), turned=write is gyroscope_first)
 
 
+def test_rows_that_are_numbered_are_not_timed(tmp_path) -> None:
+    path = lines(tmp_path / "log.txt", lambda i: f"{i},{_i(AC[i], GC[i])}")
+    with pytest.raises(RecordingError, match=r"--rate 100\. Column 1 goes up by one"):
+        read(path)
+    _check(read(path, rate_hz=1 / STEP_S))
+
+
+def test_a_time_of_an_unknown_name_is_asked_for(tmp_path) -> None:
+    path = lines(tmp_path / "log.txt", lambda i: f"{T[i]:.3f},{_i(A[i], D[i], form='%.6f')}", "Zeit,ax,ay,az,gx,gy,gz")
+    with pytest.raises(RecordingError, match=r"Column 1 \(Zeit\) rises") as error:
+        read(path)
+    proposed = re.search(r'state --columns "([^"]*)"', str(error.value))
+    assert proposed is not None
+    _check(read(path, columns=proposed[1]))
+
+
+def test_a_thermometer_between_the_triads_is_left_out(tmp_path) -> None:
+    path = lines(tmp_path / "log.txt", lambda i: f"{_i(AC[i])},{-3200 + i % 7},{_i(GC[i])}")
+    with pytest.raises(RecordingError, match=r'try --columns "ax ay az _ gx gy gz" with --rate HZ'):
+        read(path)
+    _check(read(path, columns="ax ay az _ gx gy gz", rate_hz=1 / STEP_S))
+
+
+def test_counts_at_rest_tell_the_accelerometer(tmp_path) -> None:
+    rng = np.random.default_rng(5)
+    still = [tuple(np.rint(rng.normal((-40, 25, 60, 300, -8000, 1400), 8)).astype(int)) for _ in range(COUNT)]
+    path = lines(tmp_path / "log.txt", lambda i: f"{10_000 * i},{_i(still[i])}")
+    imu = read(path).imus["imu0"]
+    assert abs(float(np.linalg.norm(imu.accelerometer.values.mean(axis=0))) - 8130) < 20
+
+
 @pytest.mark.parametrize("write", [adafruit_mpu6050, over_midnight, witmotion, micros_wraps, rowberg, mat])
 def test_block_by_block_is_the_same(write, tmp_path) -> None:
     path = write(tmp_path / "log.txt")

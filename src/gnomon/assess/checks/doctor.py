@@ -8,7 +8,7 @@ import numpy as np
 
 from ...detect.samples.threshold import RestDetection
 from ...findings import Finding, make_finding
-from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
+from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
 from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
@@ -86,6 +86,8 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     slower_hz = min(accelerometer.rate_hz, gyroscope.rate_hz)
     if (last - first) * 1e-9 < _LONG_S or not slower_hz * _WIDTH_S >= _FEWEST_IN_WIDTH:
         return []
+    if any(_coarseness_s(samples.t_ns) > _WIDTH_S for samples in (accelerometer, gyroscope)):
+        return []
     both = [np.clip(samples.t_ns, first, last) for samples in (accelerometer, gyroscope)]
     stamps = close_gaps(both, _LONGEST_GAP_NS)
     grid = np.arange(0, (int(max(t_ns[-1] for t_ns in stamps)) - first) * 1e-9, _GRID_S)
@@ -107,6 +109,12 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
             earlier=earlier,
         )
     ]
+
+
+def _coarseness_s(t_ns: Integers) -> float:
+    """Return the usual step of a clock between the timestamps that differ [s]."""
+    steps = np.diff(t_ns)
+    return float(np.median(steps[steps > 0])) * 1e-9 if (steps > 0).any() else np.inf
 
 
 def _stirred(values: Floats, t_s: Floats, grid: Floats) -> Floats:

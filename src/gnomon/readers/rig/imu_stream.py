@@ -52,8 +52,10 @@ def read_imu(
     try:
         recording = read_recognising(IN_MOTION, *files, units=units)
     except RecordingError as error:  # there are no options here for tables that say too little
-        text = re.sub(TRIAL.format('[^"]*'), "", _in_place(str(error), files))
-        raise RecordingError(text.replace(HELP, _HEADER).replace(RATE_HELP, _HEADER)) from None
+        text = re.sub(TRIAL.format('[^"]*', "[^.]*"), "", _in_place(str(error), files))
+        raise RecordingError(
+            text.partition(RATE_HELP)[0].replace(HELP, _HEADER) + (_HEADER if RATE_HELP in text else "")
+        ) from None
     sources.extend(replace(source, name=_in_place(source.name, files)) for source in recording.sources)
     said = [_in_place(note, files) for note in recording.assumptions]
     notes.extend(note if name == "imu0" else f"{name}: {note}" for note in said)

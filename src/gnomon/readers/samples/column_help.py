@@ -5,15 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...recording import Floats
-from .recognise import gravity_unit
+from .recognise import gravity_unit, is_gravity_in_counts
 from .text_table import TextLayout, column_rises, is_number
 
 HELP = 'Say what the columns are with --columns, for example --columns "t ax ay az gx gy gz" (_ skips a column).'
-TRIAL = ' By their values, try --columns "{}".'
+TRIAL = ' By their values, try --columns "{}"{}.'
 """What `columns_help` says where the values tell it."""
 
 _MOST_LISTED = 24
-_COUNTS_OF_G = (16384, 8192, 4096, 2048, 1024, 256)
+_FEWEST_COUNTED = 4
 
 
 def columns_help(layout: TextLayout, quantities: Sequence[str] = ()) -> str:
@@ -33,8 +33,33 @@ def columns_help(layout: TextLayout, quantities: Sequence[str] = ()) -> str:
         listed.append(f"{name}: {span}{', rises' if column_rises(layout, i) else ''}")
     more = "; ..." if layout.columns > _MOST_LISTED else ""
     words = _likely_columns(layout, values, quantities or ["other"] * layout.columns)
-    trial = "" if words is None else TRIAL.format(" ".join(words))
+    trial = "" if words is None else TRIAL.format(" ".join(words), "" if "t" in words else " with --rate HZ")
     return f"Columns in the first rows: {'; '.join(listed)}{more}.{trial} {HELP}"
+
+
+def column_counts(layout: TextLayout, column: int) -> bool:
+    """Tell whether a column goes up by one from row to row, as a sample number does, and milliseconds at 1 kHz."""
+    values = _sample_values(layout)[:, column]
+    return len(values) >= _FEWEST_COUNTED and values[0] < values[-1] and bool((values[1:] == values[:-1] + 1).all())
+
+
+def time_help(layout: TextLayout, words: Sequence[str]) -> str:
+    """Return what to do about a column that may hold the time though nothing calls it so; empty without one.
+
+    Parameters
+    ----------
+    layout : of the table
+    words : of --columns for what is known, "_" for the others
+    """
+    for i in range(layout.columns):
+        if words[i] != "_" or not column_rises(layout, i):
+            continue
+        name = f"Column {i + 1} ({layout.header[i][:40]})" if layout.header else f"Column {i + 1}"
+        if column_counts(layout, i):
+            return f" {name} goes up by one from row to row: it numbers the rows, or holds milliseconds at 1000 Hz."
+        line = " ".join([*words[:i], "t", *words[i + 1 :]])
+        return f' {name} rises: if it holds the time, state --columns "{line}".'
+    return ""
 
 
 def _sample_values(layout: TextLayout) -> Floats:
@@ -49,7 +74,7 @@ def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) ->
     """Return a word for each column: a time that rises, three that read gravity, three beside them; None without."""
     words = ["_"] * layout.columns
     rising = [i for i in range(layout.columns) if column_rises(layout, i) and len(np.unique(values[:, i])) > 2]
-    time = next((i for i in rising if not (np.diff(values[:, i]) == 1).all()), next(iter(rising), None))  # no counter
+    time = next((i for i in rising if not column_counts(layout, i)), next(iter(rising), None))
     if time is not None:
         words[time] = "t"
     free = [np.isfinite(column).all() and np.ptp(column) > 0 and i not in rising for i, column in enumerate(values.T)]
@@ -63,7 +88,9 @@ def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) ->
         return None
     words[first : first + 3] = "ax", "ay", "az"
     named = [i for i in places if all(name == "gyroscope" for name in known[i : i + 3])]
-    second = next((i for i in (*named, first + 3, first - 3) if i in places and abs(i - first) >= 3), None)
+    beside = [i for i in (first + 3, first + 4, first - 3, first - 4) if i in places]  # a thermometer may lie between
+    beside.sort(key=lambda i: float(np.abs(np.median(values[:, i : i + 3], axis=0)).max()))  # rates at rest are small
+    second = next((i for i in (*named, *beside) if i in places and abs(i - first) >= 3), None)
     if second is not None:
         words[second : second + 3] = "gx", "gy", "gz"
     return words
@@ -72,4 +99,4 @@ def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) ->
 def _reads_gravity(values: Floats) -> bool:
     norms = np.linalg.norm(values, axis=1)
     middle = float(np.median(norms))
-    return gravity_unit(middle) is not None or any(abs(middle / count - 1) < 0.15 for count in _COUNTS_OF_G)
+    return gravity_unit(middle) is not None or is_gravity_in_counts(middle)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ...errors import OptionError, RecordingError
-from .column_help import columns_help
+from .column_help import column_counts, columns_help
 from .text_table import TextLayout, column_rises, is_number
 
 Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "temperature", "unnamed", "other"]
@@ -341,6 +341,8 @@ def _by_number(layout: TextLayout, where: str) -> Roles:
     count = layout.columns
     if count in {3, 6}:
         return Roles(time=(), triads=_triads(0, count))
+    if count in {4, 7} and column_counts(layout, 0):
+        return Roles(time=(), triads=_triads(1, count))
     if count in {4, 7} and column_rises(layout):
         return Roles(
             time=((0, None),),

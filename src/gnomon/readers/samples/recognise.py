@@ -12,6 +12,8 @@ _WINDOWS = 1000
 _WINDOW = 50  # samples; half a second at usual rates
 _LIKE_GRAVITY = (0.8, 1.2)  # an uncalibrated accelerometer reads gravity within 20 %
 _LIKE_GRAVITY_IN_MOTION = (0.5, 2.0)
+_COUNTS_OF_G = (16384, 8192, 4096, 2048, 1024, 256)  # of data sheets
+_LIKE_COUNTS = 0.15
 _RATES_IN_MOTION = (("rad/s", 10.0), ("deg/s", 2000.0), ("mdeg/s", np.inf))  # largest rms of a hand that waves a sensor
 _SOME = 20_000  # samples that are enough for a sphere
 _ROUND = 0.25  # scatter of its radius; soft iron bends it
@@ -51,6 +53,11 @@ def gravity_unit(magnitude: float, limits: tuple[float, float] = _LIKE_GRAVITY) 
         if factor is not None and limits[0] < magnitude * factor / STANDARD_GRAVITY_M_S2 < limits[1]:
             return unit
     return None
+
+
+def is_gravity_in_counts(magnitude: float) -> bool:
+    """Tell whether a magnitude is near the counts that data sheets state for one g."""
+    return any(abs(magnitude / count - 1) < _LIKE_COUNTS for count in _COUNTS_OF_G)
 
 
 def _whole_numbers(values: Floats) -> bool:
@@ -209,7 +216,7 @@ def accelerometer_is_first(first: Floats, second: Floats) -> tuple[bool | None, 
     """Tell which of two triads is the accelerometer, and why; None if the values do not tell.
 
     Between rests, a gyroscope comes back to the same reading (its bias), an accelerometer shows another attitude. Where
-    nothing turned, only one of the two can read as gravity in a known unit.
+    nothing turned, only one of the two can read as gravity in a known unit, or in counts far above the other's.
 
     Parameters
     ----------
@@ -221,10 +228,12 @@ def accelerometer_is_first(first: Floats, second: Floats) -> tuple[bool | None, 
     quiet = rank <= np.quantile(rank, 0.2)
     scatter: list[float] = []
     gravity: list[str | None] = []
+    magnitude: list[float] = []
     for means, spread in ((means_1[:count], spread_1[:count]), (means_2[:count], spread_2[:count])):
         between = float(np.sqrt(means[quiet].var(axis=0).sum()))
         scatter.append(between / max(float(np.median(spread[quiet])), 1e-12))
-        gravity.append(gravity_unit(float(np.median(np.linalg.norm(means[quiet], axis=1)))))
+        magnitude.append(float(np.median(np.linalg.norm(means[quiet], axis=1))))
+        gravity.append(gravity_unit(magnitude[-1]))
     ratio = scatter[0] / max(scatter[1], 1e-12)
     by_gravity = None if (gravity[0] is None) == (gravity[1] is None) else gravity[0] is not None
     by_scatter = (
@@ -234,4 +243,8 @@ def accelerometer_is_first(first: Floats, second: Floats) -> tuple[bool | None, 
         return by_scatter, "at rest it changes with the attitude, the other one does not"
     if by_scatter is None and by_gravity is not None:
         return by_gravity, f"its magnitude at rest is gravity in {gravity[0] if by_gravity else gravity[1]}"
+    large, small = max(magnitude), min(magnitude)
+    counts = _whole_numbers(first) and _whole_numbers(second)
+    if by_scatter is None and counts and is_gravity_in_counts(large) and small < large / 4:
+        return magnitude[0] > magnitude[1], f"at rest it reads {large:.0f} counts, as gravity does"
     return None, ""

@@ -10,7 +10,7 @@ from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples
 from ...units import Units
 from ..files import TextFile
-from .column_help import HELP, columns_help
+from .column_help import HELP, columns_help, time_help
 from .column_names import Roles, column_name, column_roles, unit_of
 from .printed_lines import lines_as_table
 from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
@@ -34,10 +34,8 @@ _MOST_LISTED = 6
 _LONGEST_LINE = 200
 """Characters of a line of the preamble that states a rate."""
 
-RATE_HELP = (
-    "State it with --rate, for example --rate 100. If a column holds the time, name the columns: "
-    '--columns "t ax ay az gx gy gz" (_ skips one).'
-)
+RATE_HELP = "State it with --rate, for example --rate 100."
+TIME_HELP = ' If a column holds the time, name the columns: --columns "t ax ay az gx gy gz" (_ skips one).'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +103,7 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
         if rate_hz is not None:
             note += f" The rate of {rate_hz:g} Hz was not needed: the file has timestamps."
     else:
-        t_ns, note = _made_stamps(file, layout, count, rate_hz)
+        t_ns, note = _made_stamps(file, layout, used, count, rate_hz)
     triads: list[Triad] = []
     for triad in used.triads:
         values = np.empty((count, 3))
@@ -168,13 +166,28 @@ def temperature_samples(t_ns: Integers, values: Floats, unit: str | None) -> tup
     return TemperatureSamples(t_ns=t_ns, values=values, unit=found), note
 
 
-def _made_stamps(file: TextFile, layout: TextLayout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
+def _column_words(layout: TextLayout, used: Roles) -> list[str]:
+    """Return a word of --columns for each column that is used, "_" for the others."""
+    words = ["_"] * layout.columns
+    letters = {"accelerometer": "a", "gyroscope": "g", "magnetometer": "m"}
+    for triad, otherwise in zip(used.triads, "agm", strict=False):
+        for i, axis in zip(triad.columns, "xyz", strict=True):
+            words[i] = letters.get(triad.quantity, otherwise) + axis
+    return words
+
+
+def _made_stamps(
+    file: TextFile, layout: TextLayout, used: Roles, count: int, rate_hz: float | None
+) -> tuple[Integers, str]:
     """Return timestamps at a stated rate [ns], and what was assumed."""
     origin = "as stated"
     if rate_hz is None:
         rate_hz, origin = preamble_rate(layout.preamble), "as its preamble says"
     if rate_hz is None:
-        raise RecordingError(f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}")
+        advice = time_help(layout, _column_words(layout, used)) or TIME_HELP
+        raise RecordingError(
+            f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}{advice}"
+        )
     return uniform_stamps(count, rate_hz), f"{file.name}: no timestamps; {rate_hz:g} Hz {origin}."
 
 
