@@ -176,3 +176,18 @@ def test_no_such_recording(tmp_path) -> None:
     assert code == 3
     assert "nothing" in err
     assert "Traceback" not in err
+
+
+def test_a_recording_that_is_fit_leads_on_with_its_options(tmp_path):
+    rng = np.random.default_rng(8)
+    up = rng.normal(size=(12, 3))
+    force = np.repeat(9.81 * up / np.linalg.norm(up, axis=1, keepdims=True), 300, axis=0)
+    values = np.hstack([force, np.zeros_like(force)]) + rng.normal(0, 0.005, (len(force), 6))
+    values[(np.arange(len(force)) % 300) < 60] += rng.normal(0, 1, (12 * 60, 6))
+    path = tmp_path / "log.csv"
+    np.savetxt(path, values[:, :3], fmt="%.4f", delimiter=",", header="ax,ay,az", comments="")
+    found, _ = document(path, "--rate", 100)
+    assert found["next"] == [f"gnomon imu {path} --rate 100"]
+    _, out, _ = run("check", path, "--rate", 100)
+    assert "gyroscope  " not in out
+    assert "nan" not in out

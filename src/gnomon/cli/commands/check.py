@@ -86,7 +86,16 @@ def _check_imu(command: Check, terminal: Terminal) -> int:
     recording = read(*source.paths, **source.table)
     inertial = {name: imu for name, imu in recording.imus.items() if imu.magnetometer is None or len(imu.accelerometer)}
     findings = [*check(replace(recording, imus=inertial)), *check_magnetometers(recording)]
-    return _print_check(findings, recording.imus, {}, recording.assumptions, terminal)
+    rests = any(finding.code == "attitudes" for finding in findings)
+    following = ("imu", *source.paths, *_table_words(source)) if rests else ()
+    return _print_check(findings, recording.imus, {}, recording.assumptions, terminal, following=following)
+
+
+def _table_words(source: Input) -> list[str]:
+    """Return the options that say of a table what it does not say itself, as they were stated."""
+    rate = None if source.rate is None else f"{source.rate:.12g}"
+    stated = {"--columns": source.columns, "--rate": rate, "--units": source.units}
+    return [word for name, value in stated.items() if value is not None for word in (name, value)]
 
 
 def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
@@ -191,8 +200,10 @@ def _print_check(
     cameras: Mapping[str, Mapping[str, Any]],
     assumptions: Sequence[str],
     terminal: Terminal,
+    *,
+    following: Sequence[str | Path] = (),
 ) -> int:
-    """Print what a recording holds and what was found, and return the exit code."""
+    """Print what a recording holds, what was found, and which command follows; return the exit code."""
     from ..summary import finding_lines
 
     code = UNUSABLE if any(finding.severity == "problem" for finding in findings) else USABLE
@@ -201,6 +212,8 @@ def _print_check(
         terminal.print(_camera_line(name, entry))
     for name, imu in imus.items():
         for triad, samples in _triads(imu).items():
+            if not len(samples):
+                continue
             topic = f", topic {imu.topic}" if imu.topic else ""
             terminal.print(
                 f"{name} {triad:<13} {len(samples)} samples, {samples.duration_s:.1f} s at {samples.rate_hz:.6g} Hz, "
@@ -209,6 +222,9 @@ def _print_check(
     for severity, style in {"problem": "red", "warning": "yellow", "info": "", "good": "green"}.items():
         if chosen := [finding for finding in findings if finding.severity == severity]:
             terminal.print("\n" + "\n".join(finding_lines(chosen, good=True)), style)
+    if following and code == USABLE:
+        terminal.print("")
+        terminal.propose(*following)
     numbers = ("samples", "rate_hz", "duration_s", "unit")
     described = {
         name: {
