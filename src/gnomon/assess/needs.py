@@ -313,7 +313,13 @@ def judge_for_use(calibration: Calibration, use: Use | None) -> Calibration:
     ]
     changed = change_findings(general.trust.changes, use)
     findings = merge_by_cause(
-        [*kept, *changed, *_imprecise(found, use), *_not_estimated(asked, use), *_turn_on(calibration, asked, use)]
+        [
+            *kept,
+            *changed,
+            *_imprecise(found, use),
+            *_not_estimated(calibration, asked, use),
+            *_turn_on(calibration, asked, use),
+        ]
     )
     verdict = verdict_of(findings)
     if verdict != general.verdict:
@@ -377,8 +383,13 @@ def _turn_on(calibration: Calibration, asked: list[Achieved], use: Use) -> Itera
         yield make_finding("use-turn-on", name=use.name, source=source, parts_of_it=", ".join(parts_of_it))
 
 
-def _not_estimated(asked: list[Achieved], use: Use) -> Iterator[Finding]:
+def _not_estimated(calibration: Calibration, asked: list[Achieved], use: Use) -> Iterator[Finding]:
     missing = [offer.words for offer in asked if not offer.sigma > 0]
+    for imu in calibration.imus.values():
+        triads = {"gyroscope": imu.gyroscope, "accelerometer": imu.accelerometer}
+        absent = tuple(f"{name}_" for name, triad in triads.items() if triad is None)
+        if len(absent) == 1 and use.name != GENERAL:  # of a magnetometer alone, nothing inertial is expected
+            missing += [QUANTITIES[quantity].words for quantity in use.needs if quantity.startswith(absent)]
     if missing:
         yield make_finding("use-not-estimated", name=use.name, missing=", the ".join(missing))
 

@@ -215,3 +215,14 @@ def test_an_unknown_use_is_refused(turned):
 
 def test_numbers_are_short():
     assert [number_words(x) for x in (0.1234, 12.34, 168.2)] == ["0.12", "12", "168"]
+
+
+def test_a_sensor_that_was_not_recorded_is_missed():
+    recording, _ = gnomon.simulate(gnomon.Scenario(intervals=20, t_init_s=20.0), seed=1)
+    imu = recording.imus["imu0"]
+    nothing = replace(imu.gyroscope, t_ns=imu.gyroscope.t_ns[:0], values=imu.gyroscope.values[:0])
+    alone = replace(recording, imus={"imu0": replace(imu, gyroscope=nothing)})
+    calibration = gnomon.calibrate_imu(alone).calibration
+    (found,) = (f for f in gnomon.judge(calibration, "vio").assessment.findings if f.code == "use-not-estimated")
+    assert "the gyroscope scale, the gyroscope axes" in found.message
+    assert "use-not-estimated" not in codes(calibration)

@@ -28,3 +28,8 @@ def test_python_examples(page, tmp_path, monkeypatch):
         runner.run(example, out=report.append, clear_globs=False)
         names.update(example.globs)
         assert runner.failures == 0, "".join(report)
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/how-to/devices/*.md")), ids=lambda page: page.stem)
+def test_a_page_on_a_device_leads_on(page):
+    assert "](" in page.read_text(encoding="utf-8").rstrip().rpartition("\n\n")[2]
