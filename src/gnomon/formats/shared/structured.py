@@ -74,7 +74,7 @@ def _brackets(text: str) -> int:
     return most
 
 
-def _levels(text: str) -> int:
+def _levels(text: str, *, again: bool = True) -> int:
     """Return the depth as the parser sees it, up to where it is too deep."""
     import yaml
 
@@ -88,6 +88,10 @@ def _levels(text: str) -> int:
                     break
             elif isinstance(event, yaml.CollectionEndEvent):
                 depth -= 1
+    except yaml.MarkedYAMLError as error:
+        # The scanner reads ahead, and since PyYAML 6.0.4 refuses a depth before any level of it is told.
+        if again and (mark := error.problem_mark) is not None:
+            return max(most, _levels(text[: mark.index], again=False))
     except yaml.YAMLError:  # the parser proper says so
         pass
     return most
