@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 
@@ -106,6 +107,9 @@ def test_apply_does_what_the_api_does(calibrated, tmp_path, run):
     np.testing.assert_array_equal(again.accelerometer.t_ns, expected.accelerometer.t_ns)
     np.testing.assert_allclose(again.accelerometer.values, expected.accelerometer.values, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(again.gyroscope.values, expected.gyroscope.values, rtol=1e-12, atol=1e-12)
+    copy = shutil.copy(calibrated / "recording.csv", tmp_path / "flight.csv")
+    assert run("apply", path, copy)[0] == 0
+    assert (tmp_path / "flight-calibrated.csv").read_bytes() == target.read_bytes()
 
 
 @pytest.mark.parametrize("to", ["imu_tk", "kalibr", "imucal", "c-header", "csv"])

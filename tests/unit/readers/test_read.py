@@ -9,6 +9,7 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
+from gnomon.readers.samples.folder import recording_files
 from gnomon.readers.samples.npz import _values
 from gnomon.readers.samples.stamps import guess_time_unit, stamp_kind, to_ns
 from gnomon.readers.samples.table import preamble_rate
@@ -480,6 +481,20 @@ def test_folder_without_recording_and_with_several(tmp_path) -> None:
         (tmp_path / name).write_text(HEAD)
     with pytest.raises(RecordingError, match=r"2 files may be the recording \(a.csv, b.csv\)"):
         gnomon.read(tmp_path)
+
+
+@pytest.mark.parametrize("read", [gnomon.read, gnomon.read_turntable])
+def test_a_result_is_no_recording(tmp_path, read) -> None:
+    (tmp_path / "calibration.yaml").write_text("schema: gnomon/1\n")
+    for name in ("diagnostics.npz", "trajectory.txt", "allan.csv"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(RecordingError, match="this folder holds a result, and no recording"):
+        read(tmp_path)
+    for name in ("calibration.yaml", "diagnostics.npz"):
+        with pytest.raises(RecordingError, match="belongs to a calibration and is no recording"):
+            read(tmp_path / name)
+    (tmp_path / "log.csv").write_text(HEAD * 9)  # a recording whose result lies beside it
+    assert recording_files([tmp_path]) == [tmp_path / "log.csv"]
 
 
 def test_pair_must_be_one_of_each(tmp_path) -> None:

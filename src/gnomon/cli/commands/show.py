@@ -18,6 +18,7 @@ from ..command import (
     use_option,
 )
 from ..inputs import remembered_reading
+from ..output_folder import default_folder
 from ..results import (
     USABLE,
     calibration_document,
@@ -114,14 +115,15 @@ class Apply(Command):
 
     Examples
     --------
+    $ gnomon apply calibration.yaml recording.csv
     $ gnomon apply calibration.yaml recording.csv -o corrected.csv
     """
 
     calibration: CalibrationPath
     """A calibration.yaml."""
     recording: Annotated[Input, Flat]
-    output: Annotated[Path, output_option("FILE")]
-    """CSV file to write."""
+    output: Annotated[Path | None, output_option("FILE")] = None
+    """CSV file to write (default: NAME-calibrated.csv beside the recording)."""
     imu: str | None = None
     """Which IMU of a calibration of several recorded the samples, such as imu1; told by the name of the file, as of
     imu1.csv or imu1/data.csv, where not given."""
@@ -154,16 +156,17 @@ class Apply(Command):
             terminal.warn(f"read as the recording of the calibration: {told}.")
         units = reading.pop("units")
         units = None if units is None else Units.parse(units)
+        output = self.output or default_folder(source.paths, "calibrated.csv")
         rows = apply_files(
-            imu, *tables, output=self.output, imu=name, units=units, temperature_c=self.temperature_c,
+            imu, *tables, output=output, imu=name, units=units, temperature_c=self.temperature_c,
             strict=self.strict, warn=terminal.warn, **reading,
         )  # fmt: skip
-        terminal.print(f"{rows} rows in {self.output}")
+        terminal.print(f"{rows} rows in {output}")
         if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
             terminal.print(
                 "Lever arms were not applied: each component of the specific force is that at its accelerometer."
             )
-        terminal.document({"rows": rows, "file": str(self.output)})
+        terminal.document({"rows": rows, "file": str(output)})
         return USABLE
 
 

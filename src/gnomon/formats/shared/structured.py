@@ -403,7 +403,8 @@ def read_structured_text(path: str | PathLike[str]) -> str:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error}). Name a file that can be.") from error
     except UnicodeDecodeError as error:
         raise FormatError(
-            f"{path}: this is no text file (byte {error.start} is not UTF-8). Is this the file that you meant?"
+            f"{path}: this is no text file (byte {error.start} is not UTF-8), as those of calibrations, cameras and "
+            "boards are. Is it the recording, given in the place of the calibration?"
         ) from error
 
 

@@ -10,6 +10,9 @@ _LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
 _SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
 _ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
 _MAGNETOMETER = re.compile(r"magn", re.IGNORECASE)
+_CALIBRATION = ("calibration.yaml", "noise.yaml")
+_BESIDE_IT = ("diagnostics.npz", "allan.csv", "trajectory.txt", "results-cam.txt", "results-imucam.txt")
+"""Files of a result that look like samples."""
 
 
 def recording_files(paths: Sequence[str | Path]) -> list[Path]:
@@ -25,6 +28,12 @@ def recording_files(paths: Sequence[str | Path]) -> list[Path]:
     files = [Path(path) for path in paths]
     if len(files) == 1 and files[0].is_dir():
         files = list(_recording_in(files[0]))
+    for path in files:
+        if path.suffix in (".yaml", ".yml", ".html") or _is_of_a_result(path):
+            raise RecordingError(
+                f"{path}: this belongs to a calibration and is no recording. Name the recording: a table, a bag, a log "
+                "or a folder with one."
+            )
     if not 1 <= len(files) <= 2 or (len(files) == 2 and any(path.is_dir() for path in files)):
         raise OptionError(
             f"{len(files)} paths given. Give one file, one folder, or an accelerometer file and a gyroscope file."
@@ -52,6 +61,11 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
         return files[0], files[1]
     if len(files) == 1:
         return (files[0],)
+    if not files and any((folder / name).is_file() for name in _CALIBRATION):
+        raise RecordingError(
+            f"{folder}: this folder holds a result, and no recording. Name the recording that it was made from; "
+            f"gnomon show {folder} shows the result."
+        )
     if not files:
         raise RecordingError(
             f"{folder}: no recording in this folder. Expected mav0/imu0/data.csv (EuRoC), imu0.csv (Kalibr), a pair of "
@@ -81,4 +95,8 @@ def accelerometer_and_gyroscope(files: list[Path]) -> tuple[Path, Path] | None:
 
 def _is_candidate(path: Path) -> bool:
     name = path.name.lower().removesuffix(".gz")
-    return not name.startswith(".") and name.endswith(_SUFFIXES)
+    return not name.startswith(".") and name.endswith(_SUFFIXES) and not _is_of_a_result(path)
+
+
+def _is_of_a_result(path: Path) -> bool:
+    return path.name in _BESIDE_IT and any(path.with_name(name).is_file() for name in _CALIBRATION)

@@ -35,7 +35,7 @@ def turntable_files(paths: Sequence[str | Path]) -> tuple[tuple[Path, ...], ...]
     several = pose_files(files)
     if several is None and len(files) == 1 and files[0].is_dir():
         several = sample_files(files[0]) if known_layout(files[0]) is None else None
-    several = files if several is None else several
+    several = several or files  # a folder without samples says so itself
     if len(several) == 1:
         return (tuple(recording_files(several)),)
     if any(path.is_dir() for path in several):
@@ -54,7 +54,7 @@ def read_turntable(
 
     Parameters
     ----------
-    paths : one file, or an accelerometer's and a gyroscope's
+    paths : one file, a folder with one, or an accelerometer's and a gyroscope's
 
     Raises
     ------
@@ -63,7 +63,7 @@ def read_turntable(
     OptionError
         If an option does not fit the recording.
     """
-    files = [Path(path) for path in paths]
+    files = recording_files(paths)
     try:
         alone = _gyroscope_alone(files[0], columns, rate_hz, units) if len(files) == 1 else None
         found = alone or read_recognising(WITH_RESTS, *files, columns=columns, rate_hz=rate_hz, units=units)
