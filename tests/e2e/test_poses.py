@@ -318,7 +318,7 @@ def test_whole_recordings_are_no_poses(good_table, write_table, run, tmp_path):
         write_table(tmp_path / f"{k}.csv", good_table + noise)
     code, _, err = run("imu", tmp_path, "-o", tmp_path / "result")
     assert code == 3
-    assert "name it alone" in err
+    assert "several recordings of one sensor" in err
 
 
 def test_check_says_what_the_files_are(simulation, run, tmp_path):

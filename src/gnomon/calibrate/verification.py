@@ -126,8 +126,8 @@ def _estimated(
     held, there = (*frozen.imus, *frozen.all_lenses), (*recording.imus, *recording.cameras)
     if not set(held) & set(there):
         raise OptionError(
-            f"the calibration is of {', '.join(held)}, the recording of {', '.join(there)}: nothing to verify. "
-            "Give a recording of the same sensors."
+            f"the calibration is of {', '.join(held)}, the recording of {', '.join(there) or 'averages alone'}: "
+            "nothing to verify. Give a recording of the same sensors."
         )
     if recording.cameras:
         if target is None:

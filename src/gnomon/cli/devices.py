@@ -29,6 +29,8 @@ def find_recordings(folders: Iterable[Path], table: Path | None) -> list[Path]:
     """
     found: list[Path] = []
     for folder in folders:
+        if folder.is_file():
+            raise RecordingError(f"{folder}: this is a file. Name the folder with the recordings, one a device.")
         if not folder.is_dir():
             raise RecordingError(f"{folder}: there is no such folder. Name folders of recordings, one a device.")
         for path in sorted(folder.iterdir()):

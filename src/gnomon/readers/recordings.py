@@ -15,7 +15,13 @@ from ..units import Units
 from .devices.device_log import is_device_log
 from .files import NPZ_MAGIC, TextFile, file_source, first_bytes, read_text_file
 from .samples.column_help import HELP
-from .samples.folder import recording_files
+from .samples.folder import (
+    accelerometer_and_gyroscope,
+    known_layout,
+    recording_files,
+    sample_files,
+    several_recordings,
+)
 from .samples.pose_files import FEWEST_FILES, join_pose_tables, pose_files
 from .samples.pose_table import LARGEST_BYTES, read_pose_table
 from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
@@ -117,6 +123,8 @@ def _read_poses(
     if several is not None:
         stated, notes = _stated(units, rate_hz), list[str]()
         _refuse_npz(several)
+        if len(paths) == 1 and _are_recordings(several, columns, rate_hz, units):
+            raise RecordingError(several_recordings(Path(paths[0]), several))
         texts = [read_text_file(path) for path in several]
         table, pieces, said = join_pose_tables(
             [read_table(text, columns, rate_hz, stated) for text in texts], [path.name for path in several]
@@ -357,6 +365,14 @@ def _force_at(t_ns: Integers, accelerometer: TriadSamples) -> Floats | None:
         return None
     t, at = accelerometer.t_ns - t_ns[0], t_ns - t_ns[0]
     return np.column_stack([np.interp(at, t, accelerometer.values[:, axis]) for axis in range(3)])
+
+
+def recordings_in(path: Path) -> list[Path]:
+    """Return the recordings that a path means where several are expected: the files of a folder, or the path itself."""
+    if not path.is_dir() or known_layout(path) is not None or is_device_log([path]):
+        return [path]
+    files = sample_files(path)
+    return files if len(files) > 1 and accelerometer_and_gyroscope(files) is None else [path]
 
 
 _WINDOWS, _WINDOW = 200, 50  # samples; half a second at usual rates

@@ -102,13 +102,14 @@ class CameraCommand(Command):
         from ...calibrate.cameras import calibrate_cameras
         from ...calibrate.steps.camera_reading import read_camera_views
         from ...formats.kalibr.cam_results import save_camera_files
-        from ...readers.images.image_recording import recording_holds_imu
+        from ...readers.images.image_recording import recording_holds_imu, refuse_without_cameras
 
         folder = self.output or default_folder((self.recording,), "camera")
         if not self.recording.exists():
             raise RecordingError(f"{self.recording}: there is no such file or folder. Check the path.")
         beside, taken = files_beside(self.recording, {"target": self.target})
         if (target := beside["target"]) is None:
+            refuse_without_cameras(self.recording)
             folder = self.recording if self.recording.is_dir() else self.recording.parent
             raise OptionError(NO_TARGET.format(folder=folder))
         refuse_overwriting(folder, self.recording, {"cam": self.cam, "target": target}, CAMERA_FILES)

@@ -103,7 +103,7 @@ class CameraImu(Command):
         OptionError
             If a file that is needed was not named, and is not in the recording's folder.
         """
-        from ...readers.images.image_recording import tells_no_lens
+        from ...readers.images.image_recording import refuse_without_cameras, tells_no_lens
 
         place = self.recording
         if not place.exists():
@@ -115,6 +115,7 @@ class CameraImu(Command):
             target = shlex.quote(str(files["target"] or "target.yaml"))
             missing.append(_NO_CAM.format(folder=folder, recording=shlex.quote(str(place)), target=target))
         if missing:
+            refuse_without_cameras(place)
             raise OptionError(" ".join(missing))
         return files, taken
 

@@ -37,7 +37,7 @@ class Temperature(Command, TableOptions):
     """
 
     recordings: Annotated[tuple[Path, ...], Argument(positional=True)]
-    """Recordings of one sensor, each from one switching-on."""
+    """Recordings of one sensor, each from one switching-on; or a folder of them."""
     calibration: Annotated[Path | None, FileOption] = None
     """Calibration of the sensor, to which the temperature is added: a calibration.yaml or a result's folder."""
     reference_degc: float | None = None
@@ -51,14 +51,14 @@ class Temperature(Command, TableOptions):
         from ...calibrate.temperature import calibrate_temperature
         from ...formats.own.calibration_file import load
         from ...formats.own.calibration_text import save
-        from ...readers.recordings import read
+        from ...readers.recordings import read, recordings_in
         from ...report.temperature import write_temperature_report
 
         folder = self.output or default_folder(self.recordings[:1], "temperature")
         known = None if self.calibration is None else load(self.calibration)
         with result_folder(folder, "temperature", own=FILES) as staging:
             terminal.progress("reading the recordings")
-            recordings = [read(path, **self.table) for path in self.recordings]
+            recordings = [read(path, **self.table) for named in self.recordings for path in recordings_in(named)]
             result = calibrate_temperature(
                 recordings, known, reference_degc=self.reference_degc, progress=terminal.progress
             )

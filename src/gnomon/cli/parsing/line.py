@@ -3,7 +3,7 @@
 import re
 import shutil
 import sys
-from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
 from difflib import get_close_matches
@@ -67,7 +67,13 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
     """Yield the values that are given, with the places of their fields."""
     for entry in entries:
         add_entry(parser, entry)
-    found, others = parser.parse_known_intermixed_args(words)
+    try:
+        found, others = parser.parse_known_intermixed_args(words)
+    except OptionError:
+        found = _with_operands_behind(parser.prog, entries, words)
+        if found is None:
+            raise
+        others = []
     if others:
         names = [name for entry in entries if not entry.argument.positional for name in entry.names]
         near = get_close_matches(others[0].partition("=")[0], names, 1)
@@ -86,12 +92,31 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
             yield entry.place, not entry.default if entry.kind is bool else read_value(entry, given[-1])
 
 
+def _with_operands_behind(prog: str, entries: Sequence[Entry], words: Sequence[str]) -> Namespace | None:
+    """Return the values where an option of several values took the operands behind it; None where that is not so."""
+    parser = LineParser(prog=prog)
+    for entry in entries:
+        add_entry(parser, entry, several=False)
+    try:
+        found, others = parser.parse_known_intermixed_args(words)
+    except OptionError:
+        return None
+    return None if others else found
+
+
 def _dest(entry: Entry) -> str:
     return ".".join(entry.place)
 
 
-def add_entry(parser: _TakesArguments, entry: Entry, text: str | None = None, *, required: bool = False) -> None:
-    """Add an option or operand to a parser, or to a group of one."""
+def add_entry(
+    parser: _TakesArguments,
+    entry: Entry,
+    text: str | None = None,
+    *,
+    required: bool = False,
+    several: bool = True,
+) -> None:
+    """Add an option or operand to a parser, or to a group of one; an option takes one value, or several at once."""
     keywords: dict[str, Any] = {"default": SUPPRESS, "help": text}
     metavar = tuple(entry.metavar.split()) if " " in entry.metavar else entry.metavar
     count = entry.values_each or "+"
@@ -99,6 +124,7 @@ def add_entry(parser: _TakesArguments, entry: Entry, text: str | None = None, *,
         count = count if entry.default is MISSING else "?" if count == 1 else "*"
         parser.add_argument(_dest(entry), nargs=count, metavar=metavar, **keywords)
         return
+    count = count if several or entry.values_each else 1
     keywords |= {"dest": _dest(entry), "required": required}
     if entry.kind is bool:
         parser.add_argument(*entry.names, action="append_const", const=True, **keywords)

@@ -71,9 +71,9 @@ def read_own(path: str | PathLike[str]) -> Node:
 
 
 def calibration_at(path: str | PathLike[str]) -> str | PathLike[str]:
-    """Return the calibration in the folder of a result; anything else as it is."""
-    inside = Path(path) / "calibration.yaml"
-    return inside if Path(path).is_dir() and inside.is_file() else path
+    """Return the calibration, or else the noise, in the folder of a result; anything else as it is."""
+    inside = (Path(path) / name for name in ("calibration.yaml", "noise.yaml"))
+    return next((file for file in inside if file.is_file()), path)
 
 
 SIGMAS = {
@@ -346,7 +346,8 @@ def _checked_minor(root: Node) -> int:
     stated = root.child("schema")
     match = re.fullmatch(r"gnomon/(\d{1,6})(?:\.(\d{1,6}))?", stated.value)
     if match is None:
-        raise stated.fail(f'found "{stated.value}", expected gnomon/{SCHEMA_MAJOR}.')
+        noise = " This file holds the noise of a sensor." if stated.value.startswith("gnomon-noise/") else ""
+        raise stated.fail(f'found "{stated.value}", expected gnomon/{SCHEMA_MAJOR}.{noise}')
     major, minor = int(match[1]), int(match[2] or 0)
     if (major, minor) > (SCHEMA_MAJOR, SCHEMA_MINOR):
         raise stated.fail(

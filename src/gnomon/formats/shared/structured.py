@@ -397,8 +397,8 @@ def read_structured_text(path: str | PathLike[str]) -> str:
         raise FormatError(f"{path}: there is no such file. Check the path.") from error
     except IsADirectoryError as error:
         inside = Path(path) / "calibration.yaml"
-        which = f"{inside}" if inside.is_file() else "a file in it"
-        raise FormatError(f"{path}: this is a folder, not a file. Name {which}.") from error
+        what = f"not a file. Name {inside}" if inside.is_file() else "without a calibration.yaml. Name a file"
+        raise FormatError(f"{path}: this is a folder, {what}.") from error
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error}). Name a file that can be.") from error
     except UnicodeDecodeError as error:

@@ -42,6 +42,18 @@ def holds_images(path: str | PathLike[str]) -> bool:
         return False
 
 
+def refuse_without_cameras(path: Path) -> None:
+    """Refuse a recording that has neither images nor corners, with what it is.
+
+    Raises
+    ------
+    RecordingError
+        If it has none, or cannot be read.
+    """
+    if not holds_images(path) and not (path.is_dir() and holds_corners(_root(path))):
+        open_images(path, cameras_alone=True)
+
+
 def recording_holds_imu(path: str | PathLike[str]) -> bool:
     """Tell whether a recording of cameras, images or corners, has samples of an IMU, too, without reading them."""
     place = Path(path)
@@ -301,6 +313,8 @@ def _kind(path: Path) -> str:
     if is_image_name(path.name):
         return "this is one image; a recording is the folder of them"
     head = first_bytes(path)
+    if path.suffix == ".npz":
+        return "this is an NPZ file, which holds no images"
     if head.startswith(_PACKED) or head[257:262] == b"ustar":
         return "this is packed; unpack it first"
     return f"this is a {'binary file of an unknown kind' if bytes(1) in head else 'text file, which holds no images'}"

@@ -10,6 +10,7 @@ _LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
 _SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
 _ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
 _MAGNETOMETER = re.compile(r"magn", re.IGNORECASE)
+_CORNERS = re.compile(r"cam\d+_(corners|frames)\.csv")
 _CALIBRATION = ("calibration.yaml", "noise.yaml")
 _BESIDE_IT = ("diagnostics.npz", "allan.csv", "trajectory.txt", "results-cam.txt", "results-imucam.txt")
 """Files of a result that look like samples."""
@@ -61,6 +62,10 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
         return files[0], files[1]
     if len(files) == 1:
         return (files[0],)
+    if not files and any(_CORNERS.match(path.name) for path in folder.iterdir()):
+        raise RecordingError(
+            f"{folder}: this folder holds corners of cameras, for gnomon camera, and no samples of an IMU."
+        )
     if not files and any((folder / name).is_file() for name in _CALIBRATION):
         raise RecordingError(
             f"{folder}: this folder holds a result, and no recording. Name the recording that it was made from; "
@@ -71,8 +76,16 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
             f"{folder}: no recording in this folder. Expected mav0/imu0/data.csv (EuRoC), imu0.csv (Kalibr), a pair of "
             f"files with acc and gyr in their names, or one file ({', '.join(_SUFFIXES)}, also gzipped)."
         )
+    raise RecordingError(several_recordings(folder, files))
+
+
+def several_recordings(folder: Path, files: Sequence[Path]) -> str:
+    """Return what is to be said of a folder that holds several recordings."""
     listed = ", ".join(path.name for path in files[:8]) + (", ..." if len(files) > 8 else "")
-    raise RecordingError(f"{folder}: {len(files)} files may be the recording ({listed}). Name the one to read.")
+    return (
+        f"{folder}: {len(files)} files may be the recording ({listed}). Name the one to read. gnomon imu and gnomon "
+        "temperature take several recordings of one sensor, each of them named."
+    )
 
 
 def known_layout(folder: Path) -> Path | None:
@@ -95,7 +108,7 @@ def accelerometer_and_gyroscope(files: list[Path]) -> tuple[Path, Path] | None:
 
 def _is_candidate(path: Path) -> bool:
     name = path.name.lower().removesuffix(".gz")
-    return not name.startswith(".") and name.endswith(_SUFFIXES) and not _is_of_a_result(path)
+    return name.endswith(_SUFFIXES) and not (name.startswith(".") or _CORNERS.match(name) or _is_of_a_result(path))
 
 
 def _is_of_a_result(path: Path) -> bool:

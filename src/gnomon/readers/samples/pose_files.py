@@ -25,6 +25,8 @@ def pose_files(paths: Sequence[str | Path]) -> list[Path] | None:
     files = [Path(path) for path in paths]
     if len(files) == 1 and files[0].is_dir() and known_layout(files[0]) is None:
         found = sample_files(files[0])
+        if any(".npz" in path.suffixes for path in found):
+            return None
         if len(found) >= FEWEST_FILES and accelerometer_and_gyroscope(found) is None:
             return sorted(found, key=_by_number)
     return files if len(files) >= FEWEST_FILES else None
