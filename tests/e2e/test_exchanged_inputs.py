@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.cli import main
+from gnomon.cli.inputs import files_beside
 from gnomon.readers.recordings import recordings_in
 
 
@@ -48,6 +49,9 @@ CASES = {
     "verify result poses.csv": "the recording of averages alone: nothing to verify",
     "batch --kind imu log.csv": "log.csv: this is a file. Name the folder with the recordings",
     "turntable --rate 33rpm": "the following arguments are required: PATH",
+    "live imu": "the following arguments are required: SOURCE",
+    "live imu /dev/ttyUSB0 -o live": "Name it as serial:/dev/ttyUSB0",
+    "batch runs": "--kind imu | camera-imu | camera | magnetometer is missing",
 }
 
 
@@ -71,3 +75,37 @@ def test_a_folder_where_several_recordings_are_expected(place):
     assert recordings_in(place / "runs") == [place / "runs" / name for name in ("mon.csv", "tue.csv", "wed.csv")]
     assert recordings_in(place / "log.csv") == [place / "log.csv"]
     assert recordings_in(place / "cameras") == [place / "cameras"]
+
+
+def test_a_folder_may_stand_for_the_file_in_it(tmp_path, place):
+    (tmp_path / "calibration.yaml").write_text("")
+    found = files_beside(place / "log.csv", {"cam": tmp_path, "imu": (tmp_path,), "target": None})[0]
+    assert found == {"cam": tmp_path / "calibration.yaml", "imu": (tmp_path,), "target": None}
+
+
+@pytest.fixture(scope="module")
+def simulated_rig(tmp_path_factory):
+    """A simulated recording of a rig, with the files that describe it."""
+    folder = tmp_path_factory.mktemp("rig") / "seen"
+    assert main(["simulate", "camera-imu", "-o", str(folder), "--duration-s", "15", "-q"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("options", "files", "following"),
+    [
+        ("", (), "camera seen --target TARGET"),
+        ("--target board.yaml", (), "camera seen --target board.yaml"),
+        ("", ("target.yaml",), "camera seen"),
+        ("", ("target.yaml", "camchain.yaml"), "camera-imu seen"),
+        ("--cam lens.yaml", ("target.yaml",), "camera-imu seen --cam lens.yaml"),
+    ],
+)
+def test_check_goes_on_with_the_cameras(simulated_rig, tmp_path, monkeypatch, run, options, files, following):
+    shutil.copytree(simulated_rig, tmp_path / "seen")
+    monkeypatch.chdir(tmp_path)
+    shutil.copy("seen/target.yaml", "board.yaml")
+    shutil.copy("seen/camchain.yaml", "lens.yaml")
+    for name in {"target.yaml", "camchain.yaml", "imu.yaml"} - {*files}:
+        (tmp_path / "seen" / name).unlink()
+    assert f"gnomon {following}\n" in run("check", "seen", *options.split())[1]

@@ -165,6 +165,8 @@ def remembered_reading(calibration: "Calibration", paths: Sequence[Path]) -> dic
 _HEAD_BYTES = 65_536
 _BESIDE = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
 """Option -> Kalibr's file that is taken from the recording's folder."""
+_INSIDE = {"cam": ("calibration.yaml", "camchain.yaml"), "imu": ("imu.yaml",), "target": ("target.yaml",)}
+"""Option -> what is meant of a folder that it names, such as that of a result."""
 
 
 def files_beside(
@@ -177,13 +179,24 @@ def files_beside(
     stated : option, such as "cam" -> its value
     """
     folder = recording if recording.is_dir() else recording.parent
-    files: dict[str, Any] = {option: path or None for option, path in stated.items()}
+    files: dict[str, Any] = {option: _file_inside(option, path) or None for option, path in stated.items()}
     taken = [option for option, path in files.items() if path is None and (folder / _BESIDE[option]).is_file()]
     files |= {option: folder / _BESIDE[option] for option in taken}
     *first, last = [_BESIDE[option] for option in taken] or [""]
     names = f"{', '.join(first)} and {last}" if first else last
     are = "is" if len(taken) == 1 else "are"
     return files, (f"{names} in the recording's folder {are} used.",) if taken else ()
+
+
+def _file_inside(option: str, stated: Path | tuple[Path, ...] | None) -> Path | tuple[Path, ...] | None:
+    """Return a file for each folder that an option names and that has one."""
+    if isinstance(stated, tuple):
+        return tuple(_meant_by(option, path) for path in stated)
+    return stated and _meant_by(option, stated)
+
+
+def _meant_by(option: str, path: Path) -> Path:
+    return next((path / name for name in _INSIDE[option] if (path / name).is_file()), path)
 
 
 def refuse_overwriting(folder: Path, recording: Path, inputs: Mapping[str, Any], files: tuple[str, ...]) -> None:

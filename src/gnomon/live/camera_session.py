@@ -85,6 +85,11 @@ class CameraSession:
         """What was recorded."""
         return f"{self.images.written} images"
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing arrived."""
+        return self.images.written == 0
+
     def _receive(self) -> None:
         try:
             for arrival in self.source.arriving_images(self.stopped):

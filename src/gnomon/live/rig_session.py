@@ -205,6 +205,11 @@ class RigSession(CameraSession):
         """What was recorded."""
         return f"{super().recorded} and {self.samples.recorded}"
 
+    @property
+    def empty(self) -> bool:
+        """Whether images or samples are missing."""
+        return super().empty or self.samples.empty
+
     def look_at_arrivals(self) -> BoardState:
         """Look at what arrived, and return what there is to say."""
         self.samples.look_at_arrivals()

@@ -75,6 +75,11 @@ class LiveSession:
         """What was recorded."""
         return f"{self.recorder.written} lines"
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing arrived."""
+        return self.recorder.written == 0
+
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
         self._thread.start()

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -63,6 +64,10 @@ def open_source(text: str, units: Units | None = None) -> LiveSource:
     OptionError
         If there is no such source, or what it needs is not installed.
     """
+    if re.match(r"/dev/|COM\d", text):
+        raise OptionError(
+            f"{text}: this is a serial port. Name it as serial:{text}, with @BAUD where it is not {_BAUD}."
+        )
     kind, rest, factor = parse_source(text, _FORMS, numbered=("serial", "replay"))
     makers: dict[str, Callable[[], LiveSource]] = {
         "serial": lambda: SerialSource(rest, factor or _BAUD),
@@ -178,8 +183,17 @@ class SerialSource(LiveSource):
                             yield Arrival(line)
                         first = first and not lines
             except (OSError, self._serial.SerialException):
-                self.trouble = f"{self.port} is not there: plug it in, and close other programs that use it."
+                self.trouble = (
+                    f"{self.port} is not there: plug it in, and close other programs that use it. {_ports_found()}"
+                )
                 stop.wait(_AGAIN_S)
+
+
+def _ports_found() -> str:
+    from serial.tools.list_ports import comports
+
+    ports = ", ".join(port.device for port in comports())
+    return f"Found: {ports}." if ports else "No serial port is there."
 
 
 class TailSource(LiveSource):

@@ -115,7 +115,7 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
         findings.append(make_finding("rests-unsteady", label=label, unrest=unrest))
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
     if attitudes < 2:
-        findings.append(make_finding("always-static", label=label, rests=len(found), total=total))
+        findings.append(make_finding("always-static", label=label, total=total))
         return findings
     findings.append(_attitudes(attitudes, found, total, label))
     t_s = accelerometer.t_s
@@ -309,9 +309,9 @@ def why_no_gravity(found_m_s2: float, message: str) -> str:
 
 def _attitudes(attitudes: int, rests: Rests, share: float, label: str) -> Finding:
     usable = int(rests.used.sum())
-    message = (
-        f"{label}: {len(rests)} rests ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart"
-        + (f", {usable} of them usable." if usable < len(rests) else ".")
+    number = "1 rest" if len(rests) == 1 else f"{len(rests)} rests"
+    message = f"{label}: {number} ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart" + (
+        f", {usable} of them usable." if usable < len(rests) else "."
     )
     if attitudes >= _GOOD:
         return make_finding("attitudes/enough", message=message)

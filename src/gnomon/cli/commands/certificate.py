@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ..command import CalibrationPath, Command, output_option
+from ..output_folder import default_folder
 from ..results import exit_code
 from ..terminal import Terminal
 
@@ -19,14 +20,14 @@ class Certificate(Command):
 
     Examples
     --------
-    $ gnomon certificate recording-imu -o certificate.pdf
+    $ gnomon certificate recording-imu
     $ gnomon certificate recording-imu -o certificate.xml --country DE
     """
 
     calibration: CalibrationPath
     """The folder of a result, or its calibration.yaml."""
-    output: Annotated[Path, output_option("FILE")]
-    """PDF or XML file to write."""
+    output: Annotated[Path | None, output_option("FILE")] = None
+    """PDF or XML file to write (default: RESULT-certificate.pdf beside the result)."""
     country: str = "ZZ"
     """Country of the laboratory, by ISO 3166-1, for an XML file; ZZ is none."""
 
@@ -35,14 +36,15 @@ class Certificate(Command):
         from ...formats.own.calibration_file import calibration_at, load
 
         calibration = load(calibration_at(self.calibration))
-        if self.output.suffix.lower() == ".xml":
+        output = self.output or default_folder((self.calibration,), "certificate.pdf")
+        if output.suffix.lower() == ".xml":
             from ...writers.digital_certificate import write_digital_certificate
 
-            write_digital_certificate(calibration, self.output, country=self.country)
+            write_digital_certificate(calibration, output, country=self.country)
         else:
             from ...report.certificate.pdf import write_certificate
 
-            write_certificate(calibration, self.output)
-        terminal.print(f"certificate  {self.output}")
-        terminal.document({"verdict": calibration.verdict, "file": str(self.output)})
+            write_certificate(calibration, output)
+        terminal.print(f"certificate  {output}")
+        terminal.document({"verdict": calibration.verdict, "file": str(output)})
         return exit_code(calibration)

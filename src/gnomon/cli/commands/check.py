@@ -118,9 +118,31 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
     from ...assess.checks.rig_doctor import check_corners
 
     findings = check_corners(recording, target)
+    assumptions, following = (*taken, *recording.assumptions), _following(command, files, imu=bool(recording.imus))
     return _print_check(
-        findings, recording.imus, _corner_entries(recording), (*taken, *recording.assumptions), terminal
+        findings, recording.imus, _corner_entries(recording), assumptions, terminal, following=following
     )
+
+
+def _following(command: Check, files: Mapping[str, Any], *, imu: bool) -> tuple[str | Path, ...]:
+    """Return the command that goes on from a recording with cameras: their lenses first, where nothing tells them."""
+    from ...readers.images.image_recording import tells_no_lens
+
+    path = command.recording.path
+    where = ["--topics", *command.topics] if command.topics else []
+    board = ["--target", files["target"] if command.target else "TARGET"]
+    if files["target"] is not None and command.target is None:
+        board = []  # it lies beside the recording
+    if not imu or (files["cam"] is None and tells_no_lens(path)):
+        return ("camera", path, *board, *where)
+    stated = [word for name in ("cam", "imu") if getattr(command, name) for word in _words(name, files[name])]
+    table = ["--imu-table", command.imu_table] if command.imu_table is not None else []
+    return ("camera-imu", path, *stated, *board, *where, *table)
+
+
+def _words(name: str, value: Any) -> list[str | Path]:
+    paths = value if isinstance(value, tuple) else (value,)
+    return [word for path in paths for word in (f"--{name}", path)]
 
 
 def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[str, ...], terminal: Terminal) -> int:
@@ -132,7 +154,8 @@ def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[
     missing = " and ".join(f"--{name}" for name in ("cam", "target") if files[name] is None)
     assumptions = (*taken, *found.assumptions, f"without {missing} only timestamps and samples are looked at.")
     cameras = {name: _entry("frames", t, corners=found.corners[name]) for name, t in found.frames.items()}
-    return _print_check(findings, found.imus, cameras, assumptions, terminal)
+    following = _following(command, files, imu=bool(found.imus))
+    return _print_check(findings, found.imus, cameras, assumptions, terminal, following=following)
 
 
 def _corner_entries(recording: "Recording") -> dict[str, dict[str, Any]]:
@@ -167,7 +190,8 @@ def _check_images(command: Check, terminal: Terminal) -> int:
     lenses = {name: entry.camera for name, entry in cameras.items()}
     look = check_rig(recording, target, lenses, progress=terminal.progress)
     assumptions = (*taken, *notes, *recording.assumptions)
-    return _print_check(look.findings, recording.imus, _image_entries(recording, look), assumptions, terminal)
+    entries, following = _image_entries(recording, look), _following(command, files, imu=bool(recording.imus))
+    return _print_check(look.findings, recording.imus, entries, assumptions, terminal, following=following)
 
 
 def _image_entries(recording: "ImageRecording", look: "RigSummary") -> dict[str, dict[str, Any]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ...errors import OptionError
+from ...errors import OptionError, RecordingError
 from ...output import write_whole
 from ..command import CamFile, Command, FileOption, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
 from ..inputs import files_beside, read_use_option
@@ -51,7 +51,7 @@ class Live(Command):
 
     what: Annotated[Literal["imu", "camera", "camera-imu", "magnetometer", "noise"], Argument(positional=True)]
     """What is to be calibrated."""
-    source: Annotated[tuple[str, ...], Argument(positional=True)]
+    source: Annotated[tuple[str, ...], Argument(positional=True, metavar="SOURCE")]
     """Where samples or images come from, such as serial:/dev/ttyUSB0@500000; of camera-imu two, images first, or
     one that has both."""
     output: Annotated[Path, output_option("DIR")]
@@ -89,6 +89,9 @@ class Live(Command):
         finally:
             session.end_recording()
         terminal.print(f"recorded     {session.recorded} in {self.output}")
+        if session.empty:
+            why = " ".join(fault.text for fault in session.troubles()[:1])
+            raise RecordingError(f"{' '.join(self.source)}: nothing to calibrate arrived. {why}".rstrip())
         try:
             return self._ordinary_command().run(terminal)
         finally:

@@ -39,10 +39,14 @@ def parse_line(command: Any, words: Sequence[str], prog: str) -> Any:
         sys.stdout.write(format_help(command, prog))
         raise SystemExit(0)
     values = dict(_values(LineParser(prog=prog), entries, words))
-    absent = [entry.called for entry in entries if entry.default is MISSING and entry.place not in values]
+    absent = [_with_choices(entry) for entry in entries if entry.default is MISSING and entry.place not in values]
     if absent:
         raise OptionError(f"{', '.join(absent)} is missing. {prog} --help shows the options.")
     return build_command(command, values, command.base_values(values))
+
+
+def _with_choices(entry: Entry) -> str:
+    return f"{entry.called} {' | '.join(entry.choices)}" if entry.choices else entry.called
 
 
 class _TakesArguments(Protocol):
