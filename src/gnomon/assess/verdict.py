@@ -44,6 +44,12 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "axis-stuck": frozenset({"attitudes", "never-static", "rests-unsteady", "vibration", "gravity-magnitude"}),
     "rate-changed": frozenset({"noise-differs", "imu-rate"}),
     "range-changed": frozenset({"gravity-magnitude", "unit"}),
+    "gyroscope-range-changed": frozenset(
+        {
+            *("not-observable", "parameter-changed", "unit", "rotations-left-out", "holdout-rotation", "beyond-noise"),
+            *("uncertainty-gyroscope", "parts-disagree", "model-incomplete"),
+        }
+    ),
     "axes-differ": _BENT | {"triads-apart"},
     "axes-mirrored": _BENT | {"triads-apart"},
     "samples-repeated": frozenset({"noise-differs", "jitter"}),

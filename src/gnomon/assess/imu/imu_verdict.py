@@ -26,6 +26,7 @@ from ..verdict import (
 )
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
+from .gyroscope_range import gyroscope_range_findings
 from .imu_tables import ImuFitSummary, interval_numbers
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
@@ -115,6 +116,7 @@ def assess_imu(
     holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
     findings = [
         *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info") and f.code != _TOLD_AGAIN),
+        *gyroscope_range_findings(evidence.problem),
         *holdout_findings(holdout, gravity.value),
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),

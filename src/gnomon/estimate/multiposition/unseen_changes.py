@@ -174,4 +174,6 @@ def _published(fit: MultiPositionFit, triad: str) -> Floats:
         weight = np.gradient(data.interval_s) * share
     else:
         weight = data.half_s * share * fit.interval_used
+        if not weight.any():  # no rest of the last part was used
+            weight = data.half_s * share
     return weight / weight.sum()
