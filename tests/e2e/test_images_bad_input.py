@@ -310,7 +310,7 @@ CAM_FILES = {
     "an image": ("cam0/data.png", "this is no text file"),
     "a table": ("imu0.csv.gz", "this is no text file"),
     "nothing": ("nowhere.yaml", "there is no such file. Check the path."),
-    "a folder": (".", "this is a folder"),
+    "a folder": ("cam0", "this is a folder"),
 }
 
 

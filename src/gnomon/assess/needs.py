@@ -384,14 +384,15 @@ def _turn_on(calibration: Calibration, asked: list[Achieved], use: Use) -> Itera
 
 
 def _not_estimated(calibration: Calibration, asked: list[Achieved], use: Use) -> Iterator[Finding]:
-    missing = [offer.words for offer in asked if not offer.sigma > 0]
+    missing, severity = [offer.words for offer in asked if not offer.sigma > 0], "info"
     for imu in calibration.imus.values():
         triads = {"gyroscope": imu.gyroscope, "accelerometer": imu.accelerometer}
         absent = tuple(f"{name}_" for name, triad in triads.items() if triad is None)
         if len(absent) == 1 and use.name != GENERAL:  # of a magnetometer alone, nothing inertial is expected
-            missing += [QUANTITIES[quantity].words for quantity in use.needs if quantity.startswith(absent)]
+            unrecorded = [QUANTITIES[quantity].words for quantity in use.needs if quantity.startswith(absent)]
+            missing, severity = [*missing, *unrecorded], "warning" if unrecorded else severity
     if missing:
-        yield make_finding("use-not-estimated", name=use.name, missing=", the ".join(missing))
+        yield make_finding("use-not-estimated", severity=severity, name=use.name, missing=", the ".join(missing))
 
 
 def _why(general: Assessment, verdict: str, use: Use) -> Finding:

@@ -225,4 +225,5 @@ def test_a_sensor_that_was_not_recorded_is_missed():
     calibration = gnomon.calibrate_imu(alone).calibration
     (found,) = (f for f in gnomon.judge(calibration, "vio").assessment.findings if f.code == "use-not-estimated")
     assert "the gyroscope scale, the gyroscope axes" in found.message
+    assert found.severity == "warning"
     assert "use-not-estimated" not in codes(calibration)
