@@ -9,6 +9,8 @@ import hashlib
 import json
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from sqlite3 import OperationalError
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -295,9 +297,23 @@ def _prepare_sqlite(connection: Any, _record: object) -> None:
     """Leave transactions to SQLAlchemy; readers do not wait for a writer, and a writer waits for another one."""
     connection.isolation_level = None
     connection.execute(f"PRAGMA busy_timeout = {int(1000 * _WAIT_S)}")
-    connection.execute("PRAGMA journal_mode = WAL")
+    _keep_write_ahead_log(connection)
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("PRAGMA foreign_keys = ON")
+
+
+def _keep_write_ahead_log(connection: Any) -> None:
+    """Change a new file to a write-ahead log; two that do so at once are told "locked" whatever the timeout is."""
+    deadline = monotonic() + _WAIT_S
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+        except OperationalError:
+            if monotonic() > deadline:
+                raise
+            sleep(0.01)
+        else:
+            return
 
 
 def _begin(connection: "Connection") -> None:

@@ -8,8 +8,10 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -153,6 +155,14 @@ def two_writers(place, count):
 
 def test_two_writers_at_once(place):
     two_writers(place, 20)
+
+
+def test_a_new_library_is_opened_while_another_one_writes_its_first_row(place):
+    with closing(sqlite3.connect(place, isolation_level=None, check_same_thread=False)) as other:
+        other.execute("BEGIN IMMEDIATE")  # before the file has its write-ahead log, where no timeout applies
+        Timer(0.3, other.rollback).start()
+        with Library(place, create=True) as library:
+            assert library.count() == 0
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs kill -9")
