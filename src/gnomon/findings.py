@@ -5,18 +5,19 @@ The texts are those of the catalogue, `findings.yaml`; code gives facts, and `ma
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from math import pi
 from pathlib import Path
 from string import Formatter
 from typing import Any, Literal
 
+from .frozen import value_class
+
 Severity = Literal["good", "info", "warning", "problem"]
 """good: checked and fine; info: good to know; warning: the result suffers; problem: the result cannot be used."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Finding:
     """One thing noticed about a recording or a result.
 

@@ -53,14 +53,15 @@ _FEW = 4  # values, or fields of one, that are shown inside of another
 @overload
 def value_class(cls: Class, /) -> Class: ...
 @overload
-def value_class(*, eq: bool) -> Callable[[Class], Class]: ...
+def value_class(*, eq: bool = False, kw_only: bool = True) -> Callable[[Class], Class]: ...
 @dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False, field_specifiers=(field,))
-def value_class(cls: Any = None, /, *, eq: bool = False) -> Any:
-    """Return the class as a frozen dataclass with slots, whose fields are given by name.
+def value_class(cls: Any = None, /, *, eq: bool = False, kw_only: bool = True) -> Any:
+    """Return the class as a frozen dataclass with slots.
 
     Parameters
     ----------
     eq : whether values with the same fields are equal; else each is equal to itself alone
+    kw_only : whether fields are given by name alone
 
     Examples
     --------
@@ -72,16 +73,16 @@ def value_class(cls: Any = None, /, *, eq: bool = False) -> Any:
     (Rate(hz=2.0, unit='Hz'), True)
     """
     if cls is None:
-        return lambda given: _frozen(given, eq)
-    return _frozen(cls, eq)
+        return lambda given: _frozen(given, eq, kw_only)
+    return _frozen(cls, eq, kw_only)
 
 
-def _frozen(cls: type, eq: bool) -> type:
-    made: Any = dataclass(init=False, repr=False, eq=False, slots=True, kw_only=True)(cls)
+def _frozen(cls: type, eq: bool, kw_only: bool) -> type:
+    made: Any = dataclass(init=False, repr=False, eq=False, slots=True, kw_only=kw_only)(cls)
 
-    def __init__(self: Any, **given: Any) -> None:  # noqa: N807
+    def __init__(self: Any, *placed: Any, **given: Any) -> None:  # noqa: N807
         made.__init__ = _compiled_init(made)
-        made.__init__(self, **given)
+        made.__init__(self, *placed, **given)
 
     shared = {"__init__": __init__, "__repr__": _text, "__setattr__": _refuse, "__delattr__": _refuse}
     shared |= {"__getstate__": _state, "__setstate__": _with_state}
@@ -95,14 +96,14 @@ def _frozen(cls: type, eq: bool) -> type:
 def _compiled_init(made: Any) -> Any:
     """Return what sets the fields of a class, as the standard library's would."""
     names: dict[str, Any] = {"_set": object.__setattr__, "_unset": MISSING}
-    parameters, body = list[str](), list[str]()
+    parameters, by_name, body = list[str](), list[str](), list[str]()
     for entry in fields(made):
         value, factory = f"_value_{entry.name}", f"_factory_{entry.name}"
         names |= {value: entry.default, factory: entry.default_factory}
         made_anew = entry.default_factory is not MISSING
         if entry.init:
             default = "=_unset" if made_anew else "" if entry.default is MISSING else f"={value}"
-            parameters.append(f"{entry.name}{default}")
+            (by_name if entry.kw_only else parameters).append(f"{entry.name}{default}")
             given = f"{factory}() if {entry.name} is _unset else {entry.name}" if made_anew else entry.name
         elif made_anew or entry.default is not MISSING:
             given = f"{factory}()" if made_anew else value
@@ -111,7 +112,7 @@ def _compiled_init(made: Any) -> Any:
         body.append(f" _set(self, {entry.name!r}, {given})")
     if hasattr(made, "__post_init__"):
         body.append(" self.__post_init__()")
-    head = ", ".join(["self", *(["*", *parameters] if parameters else [])])
+    head = ", ".join(["self", *parameters, *(["*", *by_name] if by_name else [])])
     exec("\n".join([f"def __init__({head}):", *body, " return None"]), names)
     return names["__init__"]
 

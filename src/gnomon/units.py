@@ -5,11 +5,11 @@ nowhere else, so that raw counts, g and m/s^2 are the same problem with other nu
 """
 
 import re
-from dataclasses import dataclass
 from math import isfinite, pi
 from typing import Literal, Self
 
 from .errors import OptionError
+from .frozen import value_class
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard gravity, the definition of the unit g [m/s^2]."""
@@ -64,7 +64,7 @@ TIME_UNITS_NS: dict[str, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_00
 """One unit in nanoseconds."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Units:
     """Units of a recording as stated by its owner; None where they are to be recognised.
 

@@ -5,11 +5,12 @@ beyond what it needs the result is a mean that holds for no part, whatever its s
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..findings import Finding, make_finding
+from ..frozen import value_class
 from ..geometry.so3 import invert_matrix, skew
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
@@ -28,7 +29,7 @@ OF_HEADING = 2.0
 """Error of a heading over that of the field's direction, where the field dips by 60 deg."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Scale:
     """How a quantity is told: in words, with its unit and one of it [SI], and what is needed where no use is stated."""
 

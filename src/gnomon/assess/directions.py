@@ -5,12 +5,12 @@ how an accelerometer answers to forces along one. Its directions are the princip
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from math import ceil, isfinite, sqrt
 from typing import Literal
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats, Integers
 from ..results.parameters import calibration_parameters, covariance_names
 from ..results.sensors import CameraCalibration, ImuCalibration
@@ -42,7 +42,7 @@ _ALIKE = 0.6  # of the worst direction's sigma: as badly known
 _CLOSE = 5.0  # times what is wanted: the motion was there, but too little of it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Part:
     """A part of a calibration, and its principal directions, the worst known first.
 
@@ -71,7 +71,7 @@ class Part:
         return not self.sensor.startswith("imu")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Relative:
     """Scalars of a calibration in SI units, of sensors relative to the size of their sensitivity.
 

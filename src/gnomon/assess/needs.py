@@ -1,11 +1,12 @@
 """A calibration judged against what a use needs: a verdict for each quantity, and what to do next."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..findings import Finding, Severity, make_finding
+from ..frozen import value_class
 from ..options.requirements import (
     BETWEEN_RECORDINGS,
     FIELD_UT,
@@ -64,7 +65,7 @@ _PREFIXES = {
 """Quantity -> beginnings of the names of its scalars, as published or as estimated."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Achieved:
     """What a calibration offers of a quantity.
 

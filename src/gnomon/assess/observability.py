@@ -5,10 +5,11 @@ a direction, and that of what any use needs, beyond which a direction is worth a
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 from ..results.sensors import CameraCalibration, ImuCalibration
 from ..results.trust import WeakDirection
@@ -77,7 +78,7 @@ _OF_A_POSE: tuple[Kind, ...] = ("rotation", "translation", "time_shift")
 _FOCAL, _PRINCIPAL = "focal length", "principal point"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AvailableInformation:
     """What a recording and priors know of a calibration.
 

@@ -10,13 +10,13 @@ each time a sensor is switched on, by much more than their sigmas say. Whoever k
 
 import difflib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from ..errors import OptionError
 from ..estimate.triads.triad_poses import TriadPrior
+from ..frozen import value_class
 from ..models.frames import frame_rotation
 from ..options import stated_prior
 from ..recording import Floats, Integers, Source, shared_sources
@@ -64,7 +64,7 @@ NAMES = _names()
 """The 45 scalars of an IMU with a magnetometer, as `parameters.parameters` orders them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KnownScalars:
     """Scalars that are known with a joint uncertainty.
 
@@ -82,7 +82,7 @@ class KnownScalars:
     own_frame: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Prior:
     """What is known beforehand, in body frame accel-x and the units of the recording.
 

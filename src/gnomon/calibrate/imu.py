@@ -4,7 +4,7 @@ prepare -> static intervals -> problem -> fit -> choose the model -> hold out ->
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ..estimate.multiposition.sums import free_jacobian, segment_sums, with_runs
 from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
+from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..progress import Progress
@@ -117,7 +118,7 @@ def calibrate_imu(
     return _assess(recording, prepared, fit, known=known, gravity=gravity, options=options)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Readings:
     """What is fitted: static intervals of both triads, and the rotations between them.
 

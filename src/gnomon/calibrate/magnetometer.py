@@ -3,7 +3,7 @@
 prepare -> poses -> fit -> up, and the dip -> assess -> Result
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ..estimate.triads.magnetometer import (
 )
 from ..estimate.triads.triad_start import Ellipsoid
 from ..findings import Finding, make_finding
+from ..frozen import value_class
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
 from ..progress import Progress
@@ -53,7 +54,7 @@ _STILL = 15.0  # times the noise that the range of a turned sensor exceeds
 _FLAT = 0.04  # of the widest direction
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PreparedField:
     """A magnetometer's recording, ready for estimation.
 

@@ -4,7 +4,7 @@ plan -> predicted calibration -> weak directions -> judge -> the same with one t
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..errors import GnomonError
 from ..formats.kalibr.camchain import CameraInput
 from ..formats.kalibr.target import read_target
 from ..formats.sensor_inputs import read_cameras, read_imus
+from ..frozen import value_class
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
@@ -34,7 +35,7 @@ from .plan_imu import planned_imu
 _USUAL_RATE_HZ = 200.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlannedHardware:
     """What the recording would be made with.
 
@@ -54,7 +55,7 @@ class PlannedHardware:
     others: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Change:
     """A plan with one thing changed.
 
@@ -70,7 +71,7 @@ class Change:
     before: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlanResult:
     """What a planned recording would tell.
 

@@ -4,7 +4,7 @@ problem, attitudes -> nominal sensor -> normal equations -> covariance -> what o
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_varian
 from ..estimate.multiposition.problem import MultiPositionProblem
 from ..estimate.multiposition.rotations import MotionSegments
 from ..estimate.multiposition.scaling import to_physical_units
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..geometry.so3 import skew, tangent_basis
 from ..recording import Floats
@@ -50,7 +51,7 @@ from ..solve.arrow import solve_arrow
 _TURN_S, _TURN_STEPS = 1.5, 24
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class NominalFit:
     """What a fit would say of a sensor near to an ideal one; see `estimate.multiposition.scaling.Fitted`.
 

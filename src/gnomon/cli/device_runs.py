@@ -1,11 +1,12 @@
 """The runs of a batch: one recording calibrated as its command would, and the library as the journal of all."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FormatError, GnomonError, OutputError
 from ..fleet.entries import LibraryEntry
+from ..frozen import value_class
 from .output_folder import spared_inputs
 from .terminal import Terminal
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from ..study.runs import Records
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class DeviceTask:
     """One recording to calibrate.
 
@@ -32,7 +33,7 @@ class DeviceTask:
     state: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class DeviceOutcome:
     """What became of a recording.
 

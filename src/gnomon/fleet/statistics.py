@@ -5,7 +5,6 @@ y_i about the mean is tau^2 + s_i^2 (random effects, DerSimonian and Laird 1986)
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import erfc, sqrt
 from statistics import NormalDist
 from typing import Any
@@ -320,7 +319,7 @@ def time_changes(values: Floats, variances: Floats, days: Floats) -> list[TimeCh
     return found
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ScalarChange:
     """A scalar of a device that changed: size [unit], and z by the sigmas of both results."""
 

@@ -4,7 +4,7 @@ image -> board found, or why not -> what the views so far show -> one sentence, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..assess.cameras.cameras_verdict import unseen_corners
 from ..assess.checks.image_checks import BLURRED_PX, BRIGHT, DARK, ImageStatistics
 from ..detect.boards.board import BoardView
 from ..estimate.camera_imu.start.board_poses import gather_exposures, homography_poses
+from ..frozen import value_class
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
@@ -36,7 +37,7 @@ _TILTS = {"left": (1, 0), "right": (-1, 0), "upper": (0, 1), "lower": (0, -1)}
 _SEARCH = {"phase": "searching", "advice": "The board is out of sight: show the whole of it to the camera."}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardState:
     """What there is to say of the images so far.
 

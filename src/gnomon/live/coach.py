@@ -5,7 +5,7 @@ samples -> still or moving -> after each rest: what the rests would tell -> one 
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..assess.needs import judge_for_use, needs_of_use
 from ..calibrate.imu import calibrate_imu
 from ..detect.samples.static import quantisation_step
 from ..errors import GnomonError
+from ..frozen import value_class
 from ..options.requirements import GENERAL, Use
 from ..readers.recordings import samples_in_units
 from ..readers.samples.recognise import WITH_RESTS
@@ -44,7 +45,7 @@ _SIDES = {  # of a box whose z axis points out of its face, x to its front and y
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CoachState:
     """What the coach has to say.
 

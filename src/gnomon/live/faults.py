@@ -1,11 +1,11 @@
 """What is wrong with the samples of the last seconds, named while it can still be mended."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..detect.samples.saturation import saturated_samples
+from ..frozen import value_class
 from ..recording import Floats, ImuSamples, TriadSamples, smallest_steps
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 
@@ -22,7 +22,7 @@ _COARSE_M_S2, _COARSE_RAD_S = (
 _PLAUSIBLE, _POSSIBLE = (0.7, 1.3), (0.5, 2.0)  # gravity at rest, and in motion
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Fault:
     """Something that spoils the recording, and a way on.
 

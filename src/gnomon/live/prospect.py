@@ -1,7 +1,7 @@
 """What the recording so far would tell, and which attitude would add most to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import product
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..detect.samples.repair import drop_repeated_timestamps
 from ..detect.samples.saturation import saturated_samples
 from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
+from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import CONSUMER_MEMS
 from ..options.requirements import Use
@@ -34,7 +35,7 @@ _FEWEST = 7
 _PREDICTED = Provenance(gnomon_version=__version__, method="live")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Prospect:
     """What the rests so far would tell.
 

@@ -7,10 +7,11 @@ import os
 import pickle
 import subprocess
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from threading import Thread
 
+from ..frozen import value_class
 from ..models.target import Target
 from ..options.requirements import GENERAL_RIG, Use
 from ..processes import python_command, python_environment
@@ -23,7 +24,7 @@ _TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow", "clock-dri
 """Findings of `gnomon check` that a longer recording mends."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TrialOutcome:
     """What came of a check, and of a calibration.
 

@@ -1,12 +1,13 @@
 """Noise of an inertial sensor, in the units and names of Kalibr's imu.yaml."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from math import isfinite
 
 from ..errors import OptionError
+from ..frozen import value_class
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ImuNoise:
     """Nominal noise of an IMU: white noise densities, and the random walks of both biases.
 

@@ -1,9 +1,9 @@
 """Options of calibrations of cameras, alone and with IMUs."""
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .ranges import check_gravity, check_positive, check_ranges
 
 BoardModel = Literal["auto", "stated", "aspect", "bow", "corners"]
@@ -11,7 +11,7 @@ CovarianceKind = Literal["robust", "ordinary"]
 BOARDS, COVARIANCES = get_args(BoardModel), get_args(CovarianceKind)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CameraOptions:
     """How to calibrate one or several cameras from views of a board."""
 
@@ -64,7 +64,7 @@ class CameraOptions:
                 raise OptionError(f"{name} {value:g} must be greater than zero.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CameraImuOptions:
     """How to calibrate cameras and an IMU that were waved together in front of a board (Krebs)."""
 

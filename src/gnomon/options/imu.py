@@ -1,15 +1,15 @@
 """Options of calibrations of an IMU alone: multi-position recordings, and noise."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .ranges import check_gravity, check_positive, check_ranges
 
 Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ImuOptions:
     """How to calibrate an IMU from a multi-position recording."""
 
@@ -81,7 +81,7 @@ class ImuOptions:
         check_positive(self, positive)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class NoiseOptions:
     """How to identify the noise of an IMU from a long recording at rest."""
 

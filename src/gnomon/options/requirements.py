@@ -8,11 +8,10 @@ A bias is judged as it was during the recording: at the next switching-on it is 
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import isfinite, pi
 
 from ..errors import OptionError
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 
 _DEG = pi / 180
 _G = 9.80665
@@ -28,7 +27,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 """Kind of quantity -> its units, in SI; the first is the one that is shown."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class RequiredQuantity:
     """Something that a use may need.
 
@@ -79,7 +78,7 @@ QUANTITIES: Mapping[str, RequiredQuantity] = FrozenMapping(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Use:
     """A use of a calibration.
 

@@ -1,10 +1,10 @@
 """Options of calibrations by known magnitudes: turntable and magnetometer."""
 
-from dataclasses import dataclass
 from math import isnan, nan, pi
 from typing import Literal
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .ranges import check_gravity, check_positive, check_ranges
 
 _LABELS_RPM = (16.0, 50 / 3, 33.0, 100 / 3, 33.5, 45.0, 78.0, 78.26)
@@ -24,7 +24,7 @@ def default_rate_sigma(rate_rad_s: float) -> float:
     return _LABEL_SIGMA if any(abs(rpm - label) < 1.5e-3 * label for label in _LABELS_RPM) else _OTHER_SIGMA
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class StatedRate:
     """The rate of a turntable, as somebody stated it or as a video showed it.
 
@@ -47,7 +47,7 @@ class StatedRate:
             object.__setattr__(self, "sigma_rad_s", default_rate_sigma(self.rate_rad_s) * self.rate_rad_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TurntableOptions:
     """How to calibrate a gyroscope on a turntable (Angrisano)."""
 
@@ -93,7 +93,7 @@ class TurntableOptions:
         check_positive(self, ("accelerometer_range", "gyroscope_range"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class MagnetometerOptions:
     """How to calibrate a magnetometer."""
 

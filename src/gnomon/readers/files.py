@@ -4,11 +4,11 @@ import gzip
 import hashlib
 import io
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import RecordingError
 from ..formats.shared.structured import refuse_special
+from ..frozen import value_class
 from ..recording import Source
 
 _GZIP = b"\x1f\x8b"
@@ -35,7 +35,7 @@ _KNOWN_BINARY = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TextFile:
     """A text file in memory.
 

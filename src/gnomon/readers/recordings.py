@@ -1,7 +1,7 @@
 """What was stated by the user and what was read so far, while a recording of several files is put together."""
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, RecordingError
+from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..recording.dataframes import dataframe_text, is_dataframe
 from ..units import Units
@@ -28,7 +29,7 @@ from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, m
 from .samples.table import SampleTable, Triad, read_table
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ReadLog:
     """What was stated, and lists that grow: the files, and sentences on what was assumed.
 

@@ -1,10 +1,10 @@
 """Corners of a camera as its figures need them: residuals, and sums over the image."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats, Integers
 from ..results.camera_diagnostics import CornerFit
 from .numbers import positive_or
@@ -17,7 +17,7 @@ _ENOUGH = 100_000
 """Numbers from which a quantile is taken."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImageGrid:
     """Cells over an image, row by row.
 
@@ -35,7 +35,7 @@ class ImageGrid:
     mean: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerView:
     """Corners of frames that were used, and that have a residual.
 

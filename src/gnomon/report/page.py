@@ -6,12 +6,13 @@ A kind of calibration (imu.py) fills in the values below; the template page.html
 import base64
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, SupportsFloat
 
 from ..findings import Finding, printable_text
+from ..frozen import value_class
 from ..results.calibration import Verdict
 from .drawing.figures import Plot
 from .numbers import with_sigma
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _HERE = Path(__file__).parent
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class KeyNumber:
     """A number that a reader should see first, with the sentence that explains it."""
 
@@ -31,7 +32,7 @@ class KeyNumber:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Bar:
     """A value and its two-sigma whisker, in percent of the width of the cell; `zero` is where zero lies."""
 
@@ -41,7 +42,7 @@ class Bar:
     high: float
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Parameter:
     """One line of the parameter table; texts are formatted, `sigma` and `expanded` (two sigma) empty for the fixed."""
 
@@ -70,7 +71,7 @@ def parameter_line(
     return Parameter(name, *texts, unit, reads_as, note, expanded=with_sigma(float(value), 2 * float(sigma))[1])
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class ParameterGroup:
     """Parameters that are compared with each other, and the unit of their bars."""
 
@@ -79,7 +80,7 @@ class ParameterGroup:
     rows: Sequence[Parameter]
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Legend:
     """What a mark in a figure means; page.css defines `color` as --plot-COLOR."""
 
@@ -88,7 +89,7 @@ class Legend:
     label: str
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Figure:
     """A drawing with its legend and caption."""
 
@@ -104,7 +105,7 @@ class Figure:
         return self.plot.svg
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class ReportTable:
     """Rows of texts; the first column is the row's name.
 
@@ -126,7 +127,7 @@ class ReportTable:
     kind: str = "table"
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Prose:
     """Paragraphs, or a list of points."""
 
@@ -135,7 +136,7 @@ class Prose:
     kind: str = "prose"
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Code:
     """Something to copy."""
 
@@ -144,7 +145,7 @@ class Code:
     kind: str = "code"
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class ParameterTable:
     """The parameter table, with a title of its own where the section has several."""
 
@@ -157,7 +158,7 @@ class ParameterTable:
 Block = Figure | ReportTable | Prose | Code | ParameterTable
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Section:
     """A heading with what belongs under it; `anchor` is its name in links."""
 
@@ -167,7 +168,7 @@ class Section:
     blocks: Sequence[Block] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ReportPage:
     """A whole report; `front` stands on page one, which is the certificate, and the sections are folded below it."""
 

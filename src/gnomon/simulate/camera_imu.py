@@ -1,11 +1,11 @@
 """The simulation of cameras and an IMU before a board (Krebs, section 5.1.1)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.origin import Origin, single_point_weights
 from ..models.target import Target
@@ -27,7 +27,7 @@ from .scenarios.camera_imu import CameraImuScenario
 from .truth import true_calibration
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class MotionStatistics:
     """How lively a recording is: means and largest values over the IMU's samples, and how much of the board is seen."""
 
@@ -38,7 +38,7 @@ class MotionStatistics:
     visible: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraImuSimulation:
     """A recording of cameras and an IMU, and everything that is true of it.
 

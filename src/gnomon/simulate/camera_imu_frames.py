@@ -1,10 +1,11 @@
 """What the cameras see: exact corners of every frame, and what a detector and a clock make of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frozen import value_class
 from ..models.camera import Booleans, Camera
 from ..recording import CameraFrames, Floats, Integers
 from ..results.calibration import CameraCalibration
@@ -23,7 +24,7 @@ _SETTLED_S = 1e-12
 _SEARCHES = 10
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraTruth:
     """What is true of the frames and the corners of `CameraFrames`, in the same order.
 
@@ -45,7 +46,7 @@ class CameraTruth:
     visible: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FrameStreams:
     """Random numbers of one camera, one stream a purpose."""
 
@@ -57,7 +58,7 @@ class FrameStreams:
     jitter: np.random.Generator
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class View:
     """A camera that is carried along a path before a board.
 

@@ -15,11 +15,12 @@ Which sinusoids, and how large, is drawn at random. Hand-held motions turn and s
 shakes are scaled so that the mean rate and the mean acceleration are the stated ones, whatever was drawn.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.quaternion import Floats
 from ..geometry.so3 import skew
 from .scenarios.camera_imu import CameraImuScenario, MotionName
@@ -31,7 +32,7 @@ BLOCK = 4096
 """Instants that are evaluated at a time; small enough for the cache."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigidMotion:
     """Motion of a body at n instants.
 
@@ -66,7 +67,7 @@ class RigidMotion:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraPath:
     """Path of cam0.
 
@@ -198,7 +199,7 @@ _CHECKS_HZ, _CHECKED_S = 25.0, 120.0
 _SCALINGS = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Band:
     """Sinusoids of some coordinates: `size` is the rms of each [rad or m], and amplitudes fall as frequency^-fall."""
 
@@ -210,7 +211,7 @@ class _Band:
     fall: float = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Style:
     """Bands of a motion; turns and shakes of `scaled` are scaled to the mean rate and acceleration, where stated."""
 

@@ -5,10 +5,11 @@ and the gyroscope is turned by one degree about z.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.camera import Camera
@@ -46,7 +47,7 @@ _P_CAM_IMU = np.array([0.103, -0.015, -0.010])
 _TILT_CAM1_CAM0 = np.array([0.004, -0.012, 0.007])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuTruth:
     """The true parameters of Table 4.1 of Krebs, and the noise.
 

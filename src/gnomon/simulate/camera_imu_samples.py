@@ -1,10 +1,11 @@
 """What the IMUs on a rig feel on its path, and what their sensors and clocks make of it."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Self
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.rigid_body import acceleration_by_place, along_axes
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.camera import Booleans
@@ -17,7 +18,7 @@ from .scenarios.camera_imu import CameraImuScenario
 from .trajectory import rotvec_quaternions
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TrueTrajectory:
     """Motion of an IMU.
 
@@ -79,7 +80,7 @@ class TrueTrajectory:
         return self.path.at(t_s).of(self.T_cam0_imu)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SimulatedImu:
     """The samples of one IMU, and what is true of them.
 
@@ -100,7 +101,7 @@ class SimulatedImu:
     b_g: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuStreams:
     """Random numbers of one IMU, one stream a purpose."""
 
@@ -120,7 +121,7 @@ class ImuStreams:
         return cls(**dict(zip(purposes, np.random.default_rng((seed, number)).spawn(len(purposes)), strict=True)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Instants:
     """When samples are taken.
 

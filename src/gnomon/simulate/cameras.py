@@ -5,12 +5,11 @@ what is true of lenses, poses and board is in `CamerasSimulation`, so that image
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import OptionError
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.camera import Booleans, Camera
 from ..models.target import Target
@@ -40,7 +39,7 @@ _ONE_TILT = np.array([0.35, 0.25, 0.1])
 """The attitude of all views with the attitude "one", a rotation vector [rad]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornersTruth:
     """What is true of the corners of `CameraFrames`, in the same order.
 
@@ -54,7 +53,7 @@ class CornersTruth:
     outlier: Booleans
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CamerasSimulation:
     """A recording of cameras before a board, and everything that is true of it.
 

@@ -1,10 +1,11 @@
 """The simulation of an IMU, from the drawing of its parameters to the recorded numbers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
@@ -18,7 +19,7 @@ BLOCK = 65536
 """Samples that are made at a time; bounds the memory of a long recording."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _World:
     """What acts on the sensor."""
 
@@ -30,7 +31,7 @@ class _World:
         return self.motions.evaluate(t_s, self.gravity, self.earth_rate)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Clock:
     """When a triad is sampled (n,), what its timestamps say (n,), and which samples are not lost (n,)."""
 
@@ -70,7 +71,7 @@ def simulate_imu(scenario: Scenario, seed: int, *, digitised: bool = True) -> tu
     return Recording(imus={"imu0": samples}), truth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TrueSignals:
     """What acts on the sensor at the instants at which its accelerometer is sampled, in body frame "accel-x".
 

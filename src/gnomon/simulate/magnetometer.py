@@ -1,9 +1,10 @@
 """The simulation of a magnetometer that a hand turns over the sphere."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.frames import frame_rotation
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
@@ -66,7 +67,7 @@ def simulate_magnetometer(scenario: FieldScenario | None = None, seed: int = 0) 
     return Recording(imus={"imu0": samples}), _truth(scenario, seed, imu)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Motion:
     """Attitude as three angles, R_world_imu = Rz(a) Ry(b) Rx(c), each a steady turn that sways.
 

@@ -1,10 +1,11 @@
 """Planned recordings without any noise: an IMU with its rests, and cameras with an IMU before a board."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..frozen import value_class
 from ..models.target import Target
 from ..recording import CameraFrames, Floats
 from ..results.calibration import CameraCalibration
@@ -23,7 +24,7 @@ _PLANAR = {0, 2, 4, 6, 8}
 """Coordinates of a motion in the plane of the floor, before an upright board."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlannedRig:
     """What is to be calibrated, as far as it is known.
 
@@ -37,7 +38,7 @@ class PlannedRig:
     target: Target
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlannedRecording:
     """What an ideal rig would measure.
 
@@ -127,7 +128,7 @@ def _planned_path(plan: CameraImuPlan, middle: Floats, rng: np.random.Generator)
     return replace(path, amplitude=path.amplitude * size[:, None], slope=slope)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlannedRests:
     """What an ideal IMU would measure.
 

@@ -1,16 +1,16 @@
 """What a person means to record; `gnomon plan` and `gnomon plan-imu` are made from these classes."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 from ..errors import OptionError
+from ..frozen import value_class
 from ..options import check_ranges
 from .scenarios.camera_imu import MotionName
 
 PlannedMotion = MotionName | Literal["planar"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CameraImuPlan:
     """How cameras and an IMU are to be waved before a board."""
 
@@ -70,7 +70,7 @@ class CameraImuPlan:
             raise OptionError(f"duration_s {self.duration_s:g}: that is less than three frames.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ImuPlan:
     """How an IMU is to be turned by hand into many attitudes, at rest in each."""
 

@@ -1,10 +1,11 @@
 """The simulation of a sensor at rest in many attitudes: samples of each pose, their means, and the truth."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.angrisano import AngrisanoTriad
 from ..models.gravity import EARTH_RATE_RAD_S
@@ -38,7 +39,7 @@ _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 _ORDER_OF_DOCUMENT_B = (5, 4, 2, 1, 0, 3, 5)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PoseSimulation:
     """An experiment with n poses.
 

@@ -1,10 +1,10 @@
 """The sensor: drawn parameters, the units of its output, and what its converter does to a reading."""
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
@@ -13,7 +13,7 @@ from .scenarios.recorded import RecordedSensor, Scenario
 DEFAULT_BITS = 16
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Converter:
     """From a reading in SI units to the recorded number: recorded = reading / unit_si + zero, limited and rounded.
 

@@ -10,10 +10,9 @@ interval is inserted. Gravity turns at a random zenith rate and a random azimuth
 senses that turn.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from .scenarios.recorded import Scenario
@@ -29,7 +28,7 @@ TOLERANCE_S = 1e-9
 """Instants this close to an end of a motion are that end; both are sums of rounded sample periods."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Motions:
     """Motions in order of time; at rest between them.
 
@@ -210,7 +209,7 @@ def _logarithm(q_wxyz: Floats) -> Floats:
     return q[:, 1:] * np.divide(2 * np.arctan2(sine, q[:, :1]), sine, out=np.full_like(sine, 2.0), where=sine > 0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ThesisMotions:
     """Motions in order of time; at rest between them.
 

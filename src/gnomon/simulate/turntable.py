@@ -1,9 +1,10 @@
 """The simulation of a sensor on a turntable: rests, spin-up, steady turning, handling, and the truth."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.frames import frame_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
@@ -23,7 +24,7 @@ _Piece = tuple[Floats, Floats, Floats]
 """Time (n,) [s], specific force (n, 3) and angular rate (n, 3)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SteadyTruth:
     """One part of the recording in which the platter kept its speed.
 
@@ -42,7 +43,7 @@ class SteadyTruth:
     rate: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableSimulation:
     """What was recorded on a turntable, and what is true of it.
 
@@ -62,7 +63,7 @@ class TurntableSimulation:
     parts: tuple[SteadyTruth, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Course:
     """What happens over time: rate of the platter (n,), its derivative, handled (n,), and when it is steady."""
 

@@ -4,10 +4,9 @@ Nothing is rendered: landmarks lie at both sides of the way and are seen through
 is, off by noise. The path is an ellipse with the steps and the sway of a walk, in closed form (`camera_imu_path`).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers
 from .camera_imu_path import COORDINATES, CameraPath
 from .camera_imu_rig import ImuTruth
@@ -15,7 +14,7 @@ from .camera_imu_samples import ImuStreams, TrueTrajectory, simulated_imu
 from .scenarios.camera_imu import CameraImuScenario
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class WalkScenario:
     """A walk round a circuit."""
 
@@ -50,7 +49,7 @@ class WalkScenario:
     """Fraction of the tracks that are lost from image to image."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SimulatedWalk:
     """What a rig records on its way, and what is true of it.
 

@@ -11,17 +11,17 @@ It is factorised from the first block to the last; time and memory grow linearly
 larger blocks first, so that the work is done in few calls of LAPACK.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from ..frozen import value_class
 
 Floats = NDArray[np.float64]
 
 _GATHERED = 48  # scalars in a block; measured: flat between 30 and 100
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ArrowSystem:
     """Normal equations N x = -gradient of n chained states of d scalars each and p border parameters.
 
@@ -43,7 +43,7 @@ class ArrowSystem:
     corner_gradient: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ArrowSolution:
     """Step and covariance of an arrow system.
 

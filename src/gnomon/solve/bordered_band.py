@@ -18,7 +18,7 @@ to the Schur complement, and are forgotten.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import prod
 from typing import Protocol
 
@@ -29,6 +29,8 @@ from scipy.linalg.blas import (
     dtrsv,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 )
 from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+
+from ..frozen import value_class
 
 Floats = NDArray[np.float64]
 
@@ -155,7 +157,7 @@ class BorderedBand:
         return _factorise(self, similar)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Factor:
     """Block Cholesky factor of the chain, with border and right-hand sides eliminated.
 

@@ -1,15 +1,16 @@
 """Levenberg-Marquardt for small dense problems."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frozen import value_class
+
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LeastSquaresSolution:
     """The minimum of 1/2 |r(x)|^2.
 

@@ -5,10 +5,10 @@ simulate 18 poses of the document's sensor -> its iteration and gnomon's fit -> 
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 from ..simulate.scenarios.recorded import PoseScenario
 from .angrisano_trial import (
@@ -30,7 +30,7 @@ NAMES = ("angle x", "angle y", "angle z", "bias x", "bias y", "bias z", "scale x
 UNITS = ("rad", "rad", "rad", "count", "count", "count", "m/s^2 per count", "m/s^2 per count", "m/s^2 per count")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Setting:
     """One way to do the experiment.
 
@@ -67,7 +67,7 @@ SETTINGS = (
 """Angrisano's two sets of poses, at the noise that its sigmas imply, and what the attitudes alone change."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoSample:
     """All runs of one setting.
 
@@ -102,7 +102,7 @@ class AngrisanoSample:
         return Counter(outcome.iterations for outcome in self.outcomes)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoStudy:
     """What the study found.
 

@@ -1,7 +1,6 @@
 """One simulated experiment of Angrisano, calibrated by its method and by gnomon's, and the starts that lead there."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from ..estimate.triads.angrisano import (
     sensor_jacobian,
 )
 from ..estimate.triads.triad import TriadFit, TriadPoses, fit_triad
+from ..frozen import value_class
 from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
@@ -38,7 +38,7 @@ SAME = 1e-3
 """Two solutions are the same minimum if no parameter differs by more than this part of its sigma."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class AngrisanoTrial:
     """What to simulate, and how much wider than in Table 2 the start is drawn."""
 
@@ -47,7 +47,7 @@ class AngrisanoTrial:
     widened: float = 3.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoOutcome:
     """What became of one experiment; parameters are X of Angrisano, Eq. (3), (9,).
 
@@ -140,7 +140,7 @@ def drawn_start(rng: np.random.Generator, widened: float) -> Floats:
     return canonical_parameters(DATASHEET + rng.uniform(low, high))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Basin:
     """Starts that differ from the datasheet's in one group of parameters, all three of it by the same offset.
 
@@ -175,7 +175,7 @@ class Basin:
         return float(offset[first]), float(offset[last])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Journey:
     """Angrisano's iteration from one start, and where gnomon ends.
 

@@ -5,11 +5,12 @@ draw a rig, calibrate it in every way, walk with each -> the same walks with one
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import SolveError
+from ..frozen import value_class
 from ..options.requirements import parse_sigma
 from ..recording import Floats
 from .circuit_rig import DATA_SHEET, QUANTITIES
@@ -47,7 +48,7 @@ PROBES: Mapping[str, float] = {
 _ATE = MEASURES.index("ate_m")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CircuitStudy:
     """What the study found.
 

@@ -1,7 +1,7 @@
 """Rigs as their data sheets leave them, and what calibrations of different depth make of them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from ..assess.needs import achieved_quantities
 from ..calibrate.camera_imu import calibrate_camera_imu
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.target import Target
 from ..options import CameraImuOptions, ImuOptions
@@ -64,7 +65,7 @@ _POSITIONS = Scenario(
 _LANDMARKS, _ROOM_M, _PLACED_M = 250, np.array([4.0, 2.6, 4.0]), 0.02
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Rig:
     """A camera and an IMU, as they are or as somebody takes them to be.
 
@@ -88,7 +89,7 @@ class Rig:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CalibratedRig:
     """A rig, and what calibrations made of it.
 

@@ -1,12 +1,13 @@
 """One rig on its way round a circuit: how far odometry is off with each calibration, and with one part of it off."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..estimate.odometry.invariant_filter import Beginning, Sightings, estimate_path
 from ..estimate.odometry.preintegration import preintegrate_imu
+from ..frozen import value_class
 from ..options.requirements import BETWEEN_RECORDINGS, USES
 from ..recording import Floats
 from ..simulate.walk import SimulatedWalk, WalkScenario, simulate_walk
@@ -25,14 +26,14 @@ _BEGINNING = (0.01, 0.05, 1e-4, BETWEEN_RECORDINGS["gyroscope_bias"], BETWEEN_RE
 the sensor on anew."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CircuitTask:
     """A rig, its calibrations, and one walk with each."""
 
     seed: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CircuitRun:
     """What became of it.
 
@@ -50,7 +51,7 @@ class CircuitRun:
     example: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PartsTask:
     """A walk with a rig that is known but for some parts.
 
@@ -64,7 +65,7 @@ class PartsTask:
     off: tuple[tuple[float, ...], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PartsRun:
     """What became of it.
 

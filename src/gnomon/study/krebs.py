@@ -4,12 +4,13 @@ simulate one motion with ever new noise -> calibrate camera and IMU -> errors, s
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from ..errors import SolveError
+from ..frozen import value_class
 from ..recording import Floats
 from .krebs_run import SCENARIO, KrebsRun, KrebsTask, run_krebs
 from .krebs_thesis import GROUPS, NAMES, group_columns
@@ -19,7 +20,7 @@ _FEWEST = 2
 _CHANGED_S = 40.0  # recordings without noise tell as much when they are short
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Series:
     """How recordings are made and calibrated: its name in words, and the task but for seed and duration."""
 
@@ -54,7 +55,7 @@ SETTINGS = (
 _NOISELESS = KrebsTask(noise_factor=0.0, pixel_noise_px=0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Independence:
     """What a change of one parameter does to the estimates.
 
@@ -86,7 +87,7 @@ class Independence:
         return NAMES[int(np.argmax(share))]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsSample:
     """All runs of one series; parameters are in the order of `krebs_thesis.NAMES`.
 
@@ -140,7 +141,7 @@ class KrebsSample:
         return sum(run.converged for run in self.outcomes)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsStudy:
     """What the study found.
 

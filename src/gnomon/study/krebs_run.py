@@ -1,12 +1,13 @@
 """One simulated recording of Krebs, section 5.1, calibrated: errors and sigmas of all of Table 4.1's constants."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from ..calibrate.camera_imu import calibrate_camera_imu
 from ..errors import GnomonError
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, LOWER
@@ -62,7 +63,7 @@ CHANGES = {
 """By how much one element of each group is changed, in its unit."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class KrebsTask:
     """What to simulate and with which model to calibrate it.
 
@@ -92,7 +93,7 @@ class KrebsTask:
     changed: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsRun:
     """What became of it; in the order of `krebs_thesis.NAMES`, nan where the model does not estimate something.
 

@@ -1,9 +1,10 @@
 """What Krebs states of its simulation: Table A.1, Tables 5.2 and 5.3, and appendix B.1."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..recording import Floats
 from ..simulate.camera_imu_rig import TABLE_A1
@@ -25,7 +26,7 @@ def _gravity() -> Floats:
     return GRAVITY * np.array([0.0, -np.cos(lean), -np.sin(lean)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsRig:
     """What is true of the simulated camera and IMU; the defaults are those of Krebs.
 
@@ -56,7 +57,7 @@ class KrebsRig:
     b_g: float = 0.02
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Group:
     """Parameters that Krebs gives one name.
 

@@ -1,10 +1,9 @@
 """Errors of an estimated path by the definitions of evo (github.com/MichaelGrupp/evo; Sturm et al., IROS 2012)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..frozen import value_class
 from ..recording import Floats
 
 STEP_M = 10.0
@@ -13,7 +12,7 @@ STEP_M = 10.0
 _TOLERANCE_M = 0.1 * STEP_M
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PathErrors:
     """How far a path is off.
 

@@ -16,7 +16,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..errors import OptionError, SolveError
+from ..frozen import value_class
 from ..processes import safe_path
 from ..progress import Progress, Step
 
@@ -45,7 +45,7 @@ class Journal(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Workers:
     """Who does the work, and where its outcomes are kept.
 

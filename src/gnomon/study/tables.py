@@ -2,16 +2,16 @@
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from io import StringIO
 
+from ..frozen import value_class
 from ..recording import Floats
 from .runs import scatter_bounds
 
 Cell = str | int | float | bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class StudyTable:
     """One table; its name is that of its file, its head says the units."""
 
@@ -28,7 +28,7 @@ class StudyTable:
         return text.getvalue()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Claim:
     """Something that a document says or that gnomon promises, and what the study found.
 

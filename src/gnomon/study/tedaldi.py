@@ -3,11 +3,10 @@
 simulate the signals of section 4.1 -> gnomon's recipe, Algorithm 1 as printed, the authors' script -> metrics 1 to 4
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..calibrate.imu import calibrate_imu
+from ..frozen import value_class
 from ..options import ImuOptions
 from ..recording import Floats
 from ..results.imu_diagnostics import ImuDiagnostics
@@ -33,7 +32,7 @@ SETS = 40
 _EXAMPLES = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Example:
     """One recording, to be looked at.
 
@@ -53,7 +52,7 @@ class Example:
     rests: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TedaldiStudy:
     """What the study found.
 

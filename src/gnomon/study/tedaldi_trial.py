@@ -3,7 +3,7 @@
 A calibration is measured as in section 4.1.1: the signals before and after it against those without errors.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
+from ..frozen import value_class
 from ..geometry.so3 import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
@@ -32,7 +33,7 @@ _TG_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 0, 1), (1, 2, -1), (2, 0, -1), (2, 1, 
 """Row, column and sign of the misalignments in T, in the order of Eqs. (3.2) and (3.6)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TedaldiTrial:
     """One recording.
 
@@ -46,7 +47,7 @@ class TedaldiTrial:
     seed: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SignalErrors:
     """Metrics 2 to 4 of one recording.
 
@@ -70,7 +71,7 @@ class SignalErrors:
     drift_angle: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MethodOutcome:
     """What one method made of the recording; nan where it made nothing.
 
@@ -87,7 +88,7 @@ class MethodOutcome:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TedaldiOutcome:
     """What became of a recording.
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from ..errors import OutputError, RecordingError
+from ..frozen import value_class
 from ..output import files_together
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
@@ -122,7 +123,7 @@ def _opened(path: Path, form: Form) -> Generator[_Bag]:
         yield _Bag(writer, store, store.serialize_cdr)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Item:
     """One message: when it was received, its connection, and what makes its bytes when it is its turn."""
 

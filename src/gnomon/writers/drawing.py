@@ -5,12 +5,13 @@ viewer has; its numbers are millimetres, too, under one matrix, so that nothing 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from html import escape
 from typing import Literal
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 
 POINTS_PER_MM = 72 / 25.4
@@ -25,7 +26,7 @@ _FONTS: dict[Font, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Words:
     """One line of text: where its baseline begins and how high its font is [mm]."""
 
@@ -36,7 +37,7 @@ class Words:
     font: Font = "Helvetica"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Drawing:
     """What is on a sheet.
 
@@ -55,7 +56,7 @@ class Drawing:
     line_width: float = 0.15
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PaperPage:
     """A sheet of paper, and where on it a part of a drawing comes.
 

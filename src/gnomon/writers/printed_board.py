@@ -1,18 +1,18 @@
 """A board -> files to print it: PDF, SVG, and its target.yaml beside them."""
 
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
 from ..errors import FormatError, OptionError, OutputError
 from ..formats.kalibr.target import read_target, target_text
+from ..frozen import value_class
 from ..models.target import Target
 from ..output import write_together
 from .board_sheet import board_drawing, tile_board
 from .drawing import pdf_bytes, svg_text
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PrintedTarget:
     """What was written to print a board.
 

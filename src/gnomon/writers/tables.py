@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from io import StringIO
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 from ..errors import OptionError
 from ..formats.shared import entries
 from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries
+from ..frozen import value_class
 from ..models.frames import Floats, frame_rotation
 from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, calibration_parameters
 from ..results.parameter_units import element_units
@@ -91,7 +91,7 @@ _EQUATIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Row:
     """A line of a table: name, value with its sigma as text, unit."""
 
@@ -100,7 +100,7 @@ class Row:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ParameterRows:
     """Rows under a title; `note` is the equation that defines the names."""
 

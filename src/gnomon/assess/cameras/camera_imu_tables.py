@@ -1,7 +1,6 @@
 """What a camera-IMU calibration was made of, as the tables of its diagnostics."""
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from ...estimate.camera_imu.terms.imu_prediction import predicted_readings, spec
 from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, body_clock_times
 from ...estimate.camera_imu.terms.visual_terms import exposure_times
 from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, KnotGrid, Places
+from ...frozen import value_class
 from ...geometry.quaternion import quaternion_from_rotation
 from ...models.target import Target
 from ...options import CameraImuOptions
@@ -47,7 +47,7 @@ _TRIADS = ("gyroscope", "accelerometer")
 _UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraImuFitSummary:
     """What a camera-IMU calibration was made of.
 

@@ -1,11 +1,11 @@
 """Whether cameras took the images of one timestamp at one instant: else the board moves on, and residuals show it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import CameraFrames, Floats
 
 _LONGEST_S = 0.5
@@ -21,7 +21,7 @@ _BENDS_PX = 1.0
 _FEWEST_VIEWS = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class JointResiduals:
     """Corners of one camera in views of several, about the pose of each view that suits all cameras.
 

@@ -1,12 +1,13 @@
 """Views of a board: which there are, copies, and mirrored ones."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers, Recording
 
@@ -90,7 +91,7 @@ FEWEST_CORNERS = 6  # fewer tell no wrong detection from a right one; as the est
 _ON_A_LINE = 1e-6  # smaller over larger variance of the points
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardSightings:
     """The frames in which something of the board was detected.
 

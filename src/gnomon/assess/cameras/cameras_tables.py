@@ -1,12 +1,13 @@
 """What a calibration of cameras alone was made of, as the tables of its diagnostics."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...estimate.cameras.board_shape import board_points
 from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners
+from ...frozen import value_class
 from ...models.target import Target
 from ...options import CameraOptions
 from ...recording import CameraFrames, Floats, Integers, Recording
@@ -36,7 +37,7 @@ NO_BOARD, FEW, MISFIT, NOT_CHOSEN = (
 _UNITS = {"rotation": "rad", "translation": "m", "focal": "px", "principal": "px"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensOpinion:
     """A model that predicts hold-out views of a camera better than the stated one does.
 
@@ -53,7 +54,7 @@ class LensOpinion:
     gain_sigma: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CamerasFitSummary:
     """What a calibration of cameras was made of.
 

@@ -7,12 +7,12 @@ an image they may be off by degrees. A turn of the board lasts, and every camera
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 
@@ -34,7 +34,7 @@ _LASTS = 0.5  # of the turn, by which it may be another one later, or by another
 _TELLS = 0.25  # of the turn, below which its sigma must be where a camera is asked
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardTurns:
     """By how much a camera saw the board turn about each frame.
 
@@ -58,7 +58,7 @@ class BoardTurns:
         return float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardMove:
     """A board that was moved.
 
@@ -154,7 +154,7 @@ def _agreeing(total: Floats, covariance: Floats) -> Floats:
     return 1 / np.square(np.maximum(apart, 1.0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Sums:
     """Sums over frames, from which weighted means over stretches of time follow.
 

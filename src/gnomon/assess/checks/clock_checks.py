@@ -7,11 +7,11 @@ straight line whose slope is the drift between both clocks, however late single 
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...recording.images import Arrivals
 
@@ -33,7 +33,7 @@ _NEAR_FACTOR = 0.2
 _LATE_S = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ClockFit:
     """One stream's clock against the recorder's.
 
@@ -51,7 +51,7 @@ class ClockFit:
     latest_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Jump:
     """A step of arrival less timestamp: when on the recorder's clock [s from `origin`], and by how much [s]."""
 

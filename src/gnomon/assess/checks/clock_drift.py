@@ -5,7 +5,7 @@ rotation best, with a bias of its own; a line through these shifts is the drift,
 certain it is, whatever makes them scatter.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_
 from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
 from .clock_checks import drift_finding
@@ -25,7 +26,7 @@ _ROBUST = 3.0
 _LARGEST_S = 0.05  # a correction beyond this is no small one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ClockDrift:
     """How the time shift of one camera changes.
 
@@ -117,7 +118,7 @@ def _middle(poses: BoardPoses) -> float:
     return 0.5 * float(poses.t_s[0] + poses.t_s[-1])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Turns:
     """Rotations of the camera: from when to when on the IMU's clock [s], the mean rate [rad/s], the shift taken [s]."""
 

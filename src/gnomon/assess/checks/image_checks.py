@@ -12,13 +12,13 @@ Bounds, and why they are there:
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...detect.boards.board import SECOND_BOARD
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import CameraFrames, Floats, FrameQuality, Integers
 from ...recording.images import Grey
@@ -39,7 +39,7 @@ _AT_EDGE = 0.1  # of the image's smaller side
 _SIDES = ("left", "top", "right", "bottom")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardDetections:
     """In which frames a board was seen, and how it went out of sight.
 
@@ -301,7 +301,7 @@ _MANY = 0.2
 _SAME = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ImageStatistics:
     """What one image is like.
 

@@ -10,8 +10,6 @@ window; the accelerometer is averaged with the same one. The products of A_a wit
 are unknowns of their own, so that all of it stays linear.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solveh_banded
@@ -19,6 +17,7 @@ from scipy.linalg import solveh_banded
 from ...estimate.camera_imu.start.alignment import gyroscope_integral
 from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...estimate.camera_imu.start.first_guess import ImuStream
+from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
@@ -33,7 +32,7 @@ _SEARCH_S, _TRIALS = 0.04, 17
 _WINDOW = 21
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AxesFit:
     """A sensor's readings as a linear map of what the camera saw.
 
@@ -168,7 +167,7 @@ def _second_differences(t_s: Floats, values: Floats, step_s: float) -> tuple[np.
     return k, 2 * rise / (back + ahead)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Linear:
     """A robust linear fit: solution (k, 3), weight (n,), residual (n, 3), explained share."""
 
@@ -229,7 +228,7 @@ _ITERATIONS = 4
 _GAP_PERIODS = 3.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FrameTimes:
     """How late each frame is stamped, and where the board moved.
 

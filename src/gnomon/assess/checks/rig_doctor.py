@@ -5,13 +5,13 @@ Of images all timestamps are looked at, and the pictures of some frames, evenly 
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...detect.boards.board import BoardView
 from ...errors import RecordingError
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress
@@ -51,7 +51,7 @@ _KEPT = 8  # pictures that are kept to say which board they show
 Detector = Callable[[Grey], BoardView]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class StreamSummary:
     """What was found in the images of one camera.
 
@@ -87,7 +87,7 @@ class StreamSummary:
         return sum(len(view) >= _FEWEST_CORNERS for view in self.views)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigSummary:
     """A recording of images as the doctor saw it: stream by stream, and the findings."""
 

@@ -5,13 +5,14 @@ the focal lengths and the principal point, a radial distortion beyond the stated
 rolling shutter, the gaps between the tags of an AprilGrid. What a pose can do is taken out of both sides first.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ...estimate.camera_imu.start.board_poses import BoardPoses, thin_exposures
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...geometry.so3 import skew
 from ...models.camera import Camera
 from ...models.target import Target
@@ -33,7 +34,7 @@ _PRIOR = np.array([0.1, 0.1, 30.0, 30.0, 0.3, 0.3, 1e-4, 0.2])
 _FOCAL, _PRINCIPAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensFit:
     """What the corners of one camera ask for, beside what was stated.
 

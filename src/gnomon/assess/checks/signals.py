@@ -1,12 +1,11 @@
 """The doctor's look at each triad: values, timestamps, vibration."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.saturation import saturated_samples
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
@@ -20,7 +19,7 @@ _JITTER_SAMPLES = 100_000
 _FINE = 100.0  # steps of the clock in a period
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Steps:
     """Differences of timestamps [ns] and what is usual among them."""
 

@@ -1,7 +1,5 @@
 """Algorithm 1 of Tedaldi: the threshold with the smallest residual, and the rotations between its rests."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...assess.imu.imu_tables import root_mean_square
@@ -20,6 +18,7 @@ from ...estimate.multiposition.tedaldi import (
     select_samples,
     static_directions,
 )
+from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.intervals import StaticIntervals, interval_means
 from ..steps.preparation import PreparedImu
@@ -27,7 +26,7 @@ from ..steps.preparation import PreparedImu
 _FEWEST_AT_FIRST = 10  # samples that tell the noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Search:
     """M_inf of Algorithm 1: the threshold with the smallest residual, and all that were tried.
 
@@ -49,7 +48,7 @@ class Search:
     statistic: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Turned:
     """The gyroscope's half of Algorithm 1, of k - 1 rotations between k static intervals.
 

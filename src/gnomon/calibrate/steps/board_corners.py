@@ -11,7 +11,6 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import islice
 from queue import Empty, SimpleQueue
 
@@ -22,6 +21,7 @@ from ...detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, noth
 from ...detect.boards.worker import BoardFinder, BoardProcess, ProcessLostError
 from ...errors import DetectionError, RecordingError
 from ...formats.kalibr.camchain import CameraInput
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
@@ -40,7 +40,7 @@ _MANY = 0.15  # share of the corners that are not where their neighbours say, fr
 _OTHER_GAP = 0.03  # of the side of a tag
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraImages:
     """The images of one camera, and what is known of it.
 
@@ -58,7 +58,7 @@ class CameraImages:
     lens_known: bool = True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Seen:
     """What became of one frame."""
 
@@ -69,7 +69,7 @@ class _Seen:
     damage: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardCorners:
     """The corners of one camera, and what there is to say about its images."""
 

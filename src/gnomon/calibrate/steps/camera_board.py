@@ -5,7 +5,6 @@ residuals that stay with a corner from view to view (B16, as in a camera-IMU cal
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
@@ -15,6 +14,7 @@ from ...estimate.camera_imu.result.residual_patterns import along_board, common_
 from ...estimate.cameras.rig import RigSolution
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.trust.model_choice import CandidateBlock, CandidateStep, model_steps
+from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats, Integers
 from ...results.trust import ModelStep
@@ -28,7 +28,7 @@ _CORNERS_SHARE = 0.03
 """Of the residuals' variance, below which a pattern of the corners moves nothing that anybody could see."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardChoice:
     """A solution with what of the board is estimated.
 

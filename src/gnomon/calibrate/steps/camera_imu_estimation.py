@@ -1,7 +1,7 @@
 """From what was measured to the solution with the options' model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ...estimate.camera_imu.start.initial_trajectory import MARGIN_S
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory, triad_readings
 from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...findings import Finding
+from ...frozen import value_class
 from ...options import CameraImuOptions
 from ...progress import Progress
 from ...recording import Recording
@@ -38,7 +39,7 @@ _HUBER = 2.5
 _RESTARTS = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigBeforehand:
     """Cameras and IMUs, as far as they are known before the estimation.
 

@@ -8,7 +8,7 @@ hang on the evidence.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from statistics import NormalDist
 
@@ -30,6 +30,7 @@ from ...estimate.camera_imu.terms.inertial_data import on_trajectory
 from ...estimate.trust.clusters import ClusterSums
 from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...findings import Finding
+from ...frozen import value_class
 from ...models.target import Target
 from ...options import CameraImuOptions
 from ...progress import Progress
@@ -122,7 +123,7 @@ _PROMISING = 4.0
 and makes clusters of time long and few, by which nothing can be proved."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SelectedModel:
     """A solution with the model that was chosen.
 

@@ -1,7 +1,7 @@
 """Before anything is estimated from cameras and IMU: checked, in SI units, on one time base."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream
 from ...estimate.camera_imu.start.imu_alignment import ImuAlignment
 from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, TriadData
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...models.forms import KrebsAccelerometer, KrebsGyroscope
 from ...models.noise import CONSUMER_MEMS
@@ -177,7 +178,7 @@ _GRAVE = ("warning", "problem")
 _FEW_CODES = {"frames-few", "corners-few", "stream-short"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PreparedCameraImu:
     """Readings ready for estimation.
 

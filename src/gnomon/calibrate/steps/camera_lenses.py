@@ -7,7 +7,7 @@ Views that an estimate left out as misfits are posed, and count like the others.
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ...estimate.cameras.solution import solve_rig
 from ...estimate.cameras.views import view_corners
 from ...estimate.trust.clusters import held_out_costs
 from ...estimate.trust.robust import correlation_time, group_into_clusters
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_programs import read_everywhere
@@ -51,7 +52,7 @@ _LEAST_GAIN = 2.0
 """Of the held-out log-likelihood: less is no difference, however well the views agree on it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensChoice:
     """The model of one camera.
 
@@ -152,7 +153,7 @@ def chosen_lenses(
     return [one.choice(_agreed(one, tried, among), restricted=bool(among)) for one in tried]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Tried:
     """The models of one camera.
 

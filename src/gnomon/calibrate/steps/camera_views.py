@@ -1,7 +1,7 @@
 """Which views a calibration of cameras rests on, and where it starts from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorner
 from ...estimate.cameras.views import gathered_views
 from ...estimate.trust.clusters import leave_clusters_out
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers
@@ -31,7 +32,7 @@ _FEWEST_OF_A_SIZE, _SHARE_OF_A_SIZE = 2, 0.02
 """Frames, and their share of all; fewer are blurred ones that any size fits by chance."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Start:
     """Where the estimation of all cameras starts from.
 
@@ -187,7 +188,7 @@ def _middles(seen: SeenCorners) -> tuple[Integers, Floats]:
     return frame, distance[order][np.cumsum(count) - count + count // 2] if len(frame) else np.empty(0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Unseen:
     """How well lenses, places and board predict views that were left out, each with a pose of its own.
 

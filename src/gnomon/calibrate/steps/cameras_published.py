@@ -1,13 +1,14 @@
 """From an estimated rig to what a calibration publishes: scaled by a known baseline, with the covariance that holds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import OptionError
 from ...estimate.cameras.rig import RigSolution
 from ...estimate.trust.cluster_trust import robust_covariance
+from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats
 from ...results.calibration import CameraCalibration
@@ -21,7 +22,7 @@ SCALE = "target.scale"
 _BOARD = ("target.aspect", "target.bow")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PublishedCameras:
     """Cameras with the covariance of their scalars, and of what is known of the board after them.
 

@@ -1,7 +1,5 @@
 """Which model of the gyroscope's bias a multi-position recording asks for."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...assess.priors import SCALARS, Prior, Priors
@@ -15,6 +13,7 @@ from ...estimate.multiposition.scaling import ImuEstimate, blocks_of_scalars, se
 from ...estimate.multiposition.steps import as_table, imu_models
 from ...estimate.multiposition.sums import free_jacobian, segment_sums
 from ...estimate.trust.robust import correlation_time, group_into_clusters
+from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats
 from ...results.trust import ModelStep
@@ -89,7 +88,7 @@ _G = slice(24, 33)  # g-sensitivity among what may be known
 _G_PATH = "imu0.gyroscope.g_sensitivity"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ChosenModel:
     """The model taken, its fit, and what speaks for it.
 

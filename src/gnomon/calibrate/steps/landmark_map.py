@@ -5,7 +5,7 @@ follow points -> rotations, clock and axes by the gyroscope -> a first path and 
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,6 +20,7 @@ from ...estimate.landmarks.scene_path import find_scene_path
 from ...estimate.landmarks.turns import SeenTurns, attitudes_of, rates_by_camera, turning_poses, turns_between
 from ...findings import Finding, make_finding
 from ...formats.kalibr.camchain import CameraInput
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
@@ -52,7 +53,7 @@ _UNSETTLED = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Scene:
     """Key frames and points.
 
@@ -75,7 +76,7 @@ class _Scene:
         return replace(self, key=self.key[kept], point=self.point[kept], pixels=self.pixels[kept])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Motion:
     """How the camera turned, by the gyroscope.
 

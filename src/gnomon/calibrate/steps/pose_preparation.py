@@ -1,6 +1,6 @@
 """Poses for the estimation from gravity's magnitude: of a table of averages, of one file each, or of a recording."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked
 from ...estimate.multiposition.rotations import cut_segments, segments_between
 from ...estimate.triads.rotation_sensitivity import RestRotations
 from ...findings import Finding
+from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
@@ -38,7 +39,7 @@ _FEWEST_SAMPLES = 8
 _OTHER_ATTITUDE = 0.05  # of the range of all means
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PreparedPoses:
     """Means of n rests, ready for estimation.
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import TriadStream
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...geometry.so3 import nearest_rotation
 from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
@@ -172,7 +173,7 @@ def check_arguments(function: str, *values: object) -> None:
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PreparedImu:
     """One IMU, ready for estimation.
 

@@ -1,7 +1,6 @@
 """Steady parts on a turntable, cut to whole turns, with what gyroscope and accelerometer show in each attitude."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +12,7 @@ from ...estimate.turntable.axis import AxisInSensor, Between, ForceBlocks, axis_
 from ...estimate.turntable.parts import TurntableData, TurntableParts
 from ...estimate.turntable.speeds import NO_SPEED, Speeds
 from ...findings import Finding
+from ...frozen import value_class
 from ...options import StatedRate
 from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals
@@ -20,7 +20,7 @@ from ...results.intervals import Booleans, StaticIntervals
 _FORCE_BLOCK_S = 0.125
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlatterStream:
     """One recording.
 
@@ -46,7 +46,7 @@ class PlatterStream:
     clipped: Booleans
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Cut:
     """Parts of all recordings.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...progress import as_step
 from ..command import Command, Seed, output_option
 from ..output_folder import result_folder
@@ -44,7 +45,7 @@ class CarryOut(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class StudyFunctions:
     """The functions of a study.
 
@@ -60,7 +61,7 @@ class StudyFunctions:
     page: Callable[[Any], "ReportPage"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class StudyEntry:
     """A study, as far as it can be told without loading it.
 

@@ -9,11 +9,12 @@ grids it is the tip of a black wedge.
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
@@ -77,7 +78,7 @@ def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
     return search_tags(np.ascontiguousarray(image), target).view()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TagSearch:
     """What was found in an image.
 
@@ -179,7 +180,7 @@ def _kind(image: Grey, corners: Floats, target: Target) -> CornerKind:
     return "crossing" if square < (light + dark) / 2 else "tip"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Seen:
     """Tags, (k,), and the fits of their corners, (4 k,)."""
 

@@ -7,11 +7,10 @@ Where that finds less than a search of the image might, the image is searched. C
 image, by the same fit as after a search.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
@@ -32,7 +31,7 @@ _ASTRAY_PX, _ASTRAY = 1.0, 4.0  # from where the others say: px, typical distanc
 _AS_MANY = 0.95  # of the share of corners that could be fitted in the image before
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Before:
     """What is known from the image before.
 

@@ -2,11 +2,11 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
-from ...frozen import FrozenMapping
+from ...frozen import FrozenMapping, value_class
 from ...models.target import Target
 from ...recording import Floats, Integers, frozen_array
 
@@ -25,7 +25,7 @@ _UPRIGHT = 0.5
 _IMAGE_RIGHT, _IMAGE_UP = np.array([[1.0, 0.0]]), np.array([[0.0, -1.0]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardView:
     """The corners of a board that were found in one image.
 

@@ -2,12 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
@@ -94,7 +94,7 @@ def _is_flat(image: Grey) -> bool:
     return bool(high - low < _FLAT)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _TagBoard:
     """Tags as they were read in several images: with a border of some bits, perhaps only in the mirror."""
 

@@ -9,11 +9,12 @@ next ones are, those around tell, by a map of their own that follows perspective
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.board_pattern import black_square, marker_cells
 from ...models.camera import Booleans
 from ...models.target import Target
@@ -101,7 +102,7 @@ def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
             yield search, found.only(kept)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Layout:
     """What is where on a board, lengths in squares.
 
@@ -137,7 +138,7 @@ def _layout(target: Target) -> _Layout:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Board:
     """Corners in an image: their numbers (m,), their fits (m,), and how many are missing that should be there.
 

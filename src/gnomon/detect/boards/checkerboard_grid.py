@@ -1,9 +1,8 @@
 """From a lattice of crossings to the corners of a stated checkerboard, and whether the image shows that board there."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
 from ...recording.images import Grey
@@ -24,7 +23,7 @@ _FEWEST = 4
 _WAYS = _INTO_SQUARE * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])[:, :, None, None, None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CheckerboardGrid:
     """A checkerboard in an image.
 

@@ -11,11 +11,12 @@ far it is to be trusted: where it is low a new piece begins, and what lies on bo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...geometry.so3 import nearest_rotation
 from ...models.camera import Camera
 from ...models.target import Target
@@ -36,7 +37,7 @@ _SLOWEST = 0.2  # rad/s
 _FEWEST = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class OrderedViews:
     """Views of a board, numbered alike.
 

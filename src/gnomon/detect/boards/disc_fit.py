@@ -10,10 +10,9 @@ near the outline by Gauss-Newton, all discs of an image at once. The picture of 
 of the blur's shape moves its middle.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.corner_windows import Singles, normal_distribution, pack_rows
@@ -33,7 +32,7 @@ _MODEL_SIGMA_PX = 0.005  # what the model leaves out
 _WEAK = 1e-3  # relative precision with which the light's slope is known to be none
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DiscFits(PointFits):
     """Discs as they were fitted, by the middles of their ellipses.
 
@@ -75,7 +74,7 @@ def fit_discs(image: Grey, guess: Floats, shape: Floats, reach: float) -> DiscFi
     return _judged(state, normal, pixels, (guess - middle, middle, half[:, 0]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Windows:
     """Pixels near outlines, (m, n): values, places relative to a middle, and weights."""
 

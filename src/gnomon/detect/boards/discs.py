@@ -8,13 +8,13 @@ next discs are equally far off, a quarter turn apart. So perspective and lens do
 that take each other for the next one are joined; what hangs together is laid out on integer places.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
+from ...frozen import value_class
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -39,7 +39,7 @@ _OF_SIDE = 0.6  # the same of the outermost ones on each side
 _GOES_ON = 0.5  # share of the places beside the board that make it a larger one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Discs:
     """Ellipses in an image.
 

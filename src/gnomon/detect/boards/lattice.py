@@ -9,13 +9,13 @@ places.
 """
 
 from collections import deque
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -40,7 +40,7 @@ _LEAST_CONTRAST = 0.35  # across an edge, halfway between two corners, over the 
 _FEWEST = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Saddles:
     """Crossings of two edges in an image.
 
@@ -143,7 +143,7 @@ def _edge_angles(even: Singles) -> Floats:
     return np.mod(angles, np.pi)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Lattice:
     """Crossings on integer places.
 

@@ -17,10 +17,9 @@ border (vignetting) displaces corners, too, by 0.0005 px outwards and by more wi
 its slope is that of a paraboloid through the grey levels of all corners.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
 from ..corners.fitted_corners import CornerFits
@@ -41,7 +40,7 @@ _MOST_CORRECTED_PX = 0.1  # that a corner is moved
 _NEAR_AXIS = 0.05  # weights of equations do not grow further there
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlaneMap:
     """A map from a board to an image.
 
@@ -102,7 +101,7 @@ class PlaneMap:
         return np.linalg.norm(self.seen(points, pixels) - pixels, axis=1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Units:
     """Points of a board and their pixels, so moved and scaled that they are about one."""
 

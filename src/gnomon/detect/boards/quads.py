@@ -4,12 +4,12 @@ A pixel is black where it is nearer to the darkest than to the lightest one of i
 far enough apart. The limit is below the middle: squares that touch at a corner, as on Kalibr's boards, come apart.
 """
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...recording.images import Grey
 
@@ -27,7 +27,7 @@ _REFINEMENT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 5, 0.05)
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Search:
     """How black regions are told from the rest.
 

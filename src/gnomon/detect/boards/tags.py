@@ -7,13 +7,13 @@ a marker counts only where no other one of its dictionary is nearly as likely, a
 that agree on where they are.
 """
 
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.board_pattern import marker_cells
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -34,7 +34,7 @@ _FINE = 16  # pixels along a cell in which codes are blurred
 _MANY_CELLS = 12  # that tell one code from others
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Tags:
     """Tags or markers that were read.
 

@@ -1,12 +1,12 @@
 """The pixels around corners that are looked at, and what a Gaussian blur makes of an edge there."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -17,7 +17,7 @@ SATURATED = 255
 _FAR = np.float32(60.0)  # squared, in units of the blur
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Windows:
     """Pixels around the corners, (m, n), and their weights; their places relative to the middle, (m or 1, 3, n).
 
@@ -42,7 +42,7 @@ class Windows:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PixelGrid:
     """Pixels around a middle, the nearest first.
 

@@ -1,18 +1,19 @@
 """Points of a board that were fitted, and how well."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
 
 DAMPING = 1e-4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PointFits:
     """Points as they were fitted, m of them.
 
@@ -39,7 +40,7 @@ class PointFits:
         return type(self)(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerFits(PointFits):
     """Corners as they were fitted.
 

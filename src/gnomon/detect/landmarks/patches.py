@@ -5,13 +5,14 @@ piece is warped as a plane that faces the camera which took it; in brightness an
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import Floats, Integers
 from ...recording.images import Grey
@@ -27,7 +28,7 @@ _STEP_PX = 4.0  # longest
 _NODE_PX = 10.0  # between the places at which a warp is known
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Level:
     """Window of (2 half + 1)^2 samples, `stride` px apart, in blurred images; `rounds` it is moved at most.
 
@@ -46,7 +47,7 @@ _COARSE = _Level(half=6, stride=4.0, blur_px=2.5, rounds=8, alike=0.5, rest_px=1
 _FINE = _Level(half=8, stride=1.0, blur_px=0.0, rounds=5, alike=0.8, rest_px=0.15)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Landmarks:
     """Landmarks of a scene.
 

@@ -1,12 +1,13 @@
 """Points of a scene, followed from image to image by optical flow (Lucas and Kanade), there and back again."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 
@@ -19,7 +20,7 @@ _BORDER_PX = 12
 _REFILL = 0.8  # of the points, below which new ones are sought
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PointTracks:
     """Where points were seen.
 

@@ -1,9 +1,8 @@
 """From a rough period to the phase of every picture and its even rise: by turns learning what repeats, and when."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .period import PictureSeries, RoughPeriod
@@ -34,7 +33,7 @@ _FEWEST_PER_BLOCK = 4
 _COMB = 16  # a rough frequency is within 1 / (16 spans)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Followed:
     """A repetition that was followed through the video.
 

@@ -1,6 +1,6 @@
 """Images of a turning platter -> small pictures of even exposure, and the period in which they roughly repeat."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import sqrt
 
 import cv2
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats, frozen_array
 from ...recording.images import ImageStream
@@ -35,7 +36,7 @@ _AROUND = 24  # widths of a line
 _PROMINENT = 3.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PictureSeries:
     """A video as grey means over cells of its images.
 
@@ -114,7 +115,7 @@ def _evenly_exposed(cells: Pictures) -> Pictures:
     return (cells - own[:, None]) / gain[:, None] + level
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RoughPeriod:
     """A frequency at which the pictures may repeat themselves.
 
@@ -137,7 +138,7 @@ class RoughPeriod:
         object.__setattr__(self, "scores", frozen_array(self.scores))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Scored:
     """Frequencies in a window at the times t_s, and how much of the variance, and how sharply, repeats itself there."""
 

@@ -1,11 +1,11 @@
 """Where in its period each picture is: all pictures against one that depends on the phase."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats
 from .period import Pictures
 
@@ -25,7 +25,7 @@ _MOST_CELLS = 300
 _WORST_CONDITION = 30.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PhaseTemplate:
     """The picture as a harmonic series of the phase.
 
@@ -50,7 +50,7 @@ class PhaseTemplate:
         return (self.coefficients[1::2] - 1j * self.coefficients[2::2]).astype(np.complex64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Phases:
     """Phase of each picture, each by itself.
 

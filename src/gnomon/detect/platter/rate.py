@@ -1,13 +1,14 @@
 """The rate of a turning platter from a video of it, by the periodicity of the picture (Angrisano's gyroscope test)."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from ...errors import DetectionError, OptionError
 from ...findings import Finding
+from ...frozen import value_class
 from ...progress import Progress
 from ...recording import Floats, frozen_array
 from ...recording.images import ImageStream
@@ -42,7 +43,7 @@ _JITTER_AGREES, _JITTER_DIFFERS = 4.0, 6.0
 _FIGURE_POINTS = 1500
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlatterRate:
     """The rate of a platter in a video.
 
@@ -214,7 +215,7 @@ def _moves(series: PictureSeries) -> bool:
 # ---- which rate it is ----
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Candidate:
     """A rate that the video may show.
 

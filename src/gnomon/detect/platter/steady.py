@@ -1,11 +1,12 @@
 """The part of a video in which the phase rises evenly, and its rate with a sigma that irregular speed enters."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 
@@ -21,7 +22,7 @@ to be divided by the square of the number of blocks, no longer matters."""
 _SURELY = 3.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PhaseLine:
     """A straight line through phases.
 
@@ -39,7 +40,7 @@ class PhaseLine:
         return (phase - self.phase - self.rate * t_s + np.pi) % (2 * np.pi) - np.pi
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DeviationMeans:
     """Means over some pictures each, of their time and of their distance from a line.
 
@@ -71,7 +72,7 @@ class DeviationMeans:
         return replace(self, **parts)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class EvenRate:
     """The rate at which a phase rises over the steady part.
 

@@ -1,6 +1,5 @@
 """How far the platter turns while its picture repeats itself once: by how the pattern moves in the image."""
 
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -8,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats
 from .phase import PhaseTemplate
 
@@ -26,7 +26,7 @@ _ROUGHLY, _AT_ALL, _CLOSELY = 1.6, 3.0, 1.15
 _AMBIGUOUS_RATIO = 1.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PatternTurn:
     """Motion of the pattern in the image as that of a turning plane.
 

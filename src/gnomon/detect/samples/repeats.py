@@ -5,11 +5,10 @@ change are therefore counted once, and a stretch counts from 64 changes in succe
 readings: a noise of one step flips between fewer, and more noise does not repeat itself.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 _LENGTH = 64  # successive different readings
@@ -22,7 +21,7 @@ _COLUMNS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93)
 _Hashes = NDArray[np.uint64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Repeat:
     """A stretch of samples that occurs twice.
 

@@ -17,7 +17,7 @@ _LOUD = 12.0  # sigmas of the variance of a window
 _LOUDER = 3.0  # times the usual variance
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestTable:
     """A recording in windows of about a second.
 

@@ -1,9 +1,8 @@
 """The rests of a recording: where the accelerometer is still, which part of each is used, and why others are not."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
 from .static import runs_below, trim_intervals
@@ -15,7 +14,7 @@ _MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch o
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Rests:
     """Rests in order of time.
 
@@ -50,7 +49,7 @@ class Rests:
         return self.kept.where(self.used)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestStatistics:
     """What the detectors saw of an accelerometer's samples.
 

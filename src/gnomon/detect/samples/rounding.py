@@ -8,11 +8,11 @@ below where one would be: the mean p is off by 1/2 - p where there is hardly any
 there may be. A tremor, which is regular, dwells at its ends, and leaves an error also where it is larger than a step.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, smallest_steps
 from ...results.intervals import StaticIntervals
 
@@ -79,7 +79,7 @@ def _beside_their_mean(codes: Floats, intervals: StaticIntervals) -> tuple[Float
     return counts, squares / max(samples, 1.0), fourths / max(samples, 1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Codes:
     """What is seen with each kind of noise and each x.
 

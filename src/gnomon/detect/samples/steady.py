@@ -5,10 +5,10 @@ counts with an offset of 32768 serve as well as rad/s.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals
 
@@ -25,7 +25,7 @@ _GAP_PERIODS = 3.5
 _CLIPPED = 0.01  # share of a block's samples
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SteadyParts:
     """Steady parts of one recording.
 

@@ -1,10 +1,10 @@
 """From timestamps to the instants of sampling."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, TriadSamples, frozen_array
 
 _PACKETS = 0.3  # share of samples that are stamped together with the one before
@@ -12,7 +12,7 @@ _PACKET_S = 0.5
 _FAR_BETTER = 0.7
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TimeBase:
     """Instants at which the samples were taken.
 

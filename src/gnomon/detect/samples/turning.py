@@ -5,10 +5,11 @@ rest give it away. The rate at rest is that of the same rest, a few seconds to e
 warm up from one rest to the next, and a rest in the hand has a tremor of its own.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans
 
@@ -28,7 +29,7 @@ _JUMP_SIGMA, _JUMP = 8.0, 8  # sigma of a step within a rest; blocks to either s
 _KEPT = 0.6  # of the step that the whole rest must show, too
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RateMarks:
     """What a gyroscope says of the samples of an accelerometer, (n,) each.
 

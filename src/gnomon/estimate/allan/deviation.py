@@ -8,13 +8,13 @@ one product and one addition a sample and averaging time.
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from math import log2
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from .products import product_sums
 
@@ -28,7 +28,7 @@ _ROUNDING = 1e-7  # relative, that is let pass
 _EXACT = 0.3  # share of the squares that must remain in the differences, for single precision to suffice
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AllanVariance:
     """Overlapping Allan variances of three axes.
 
@@ -240,7 +240,7 @@ class _Space:
         return held[:length]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Sums:
     """Sums of z_m^2 for m that double.
 

@@ -18,11 +18,12 @@ Where the deviation falls faster than that of white noise up to the end, the sen
 shorter averaging times tell of its noise.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Self
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
@@ -48,7 +49,7 @@ _LOOK_BACK, _FALLEN, _NO_CHANCE = 5, 0.6, 1e-5  # of the variance of white noise
 _BEFORE_FALL = 3  # averaging times between those that fall and those that tell of the noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AxisFit:
     """The noise of one axis, for a sample period of one.
 
@@ -84,7 +85,7 @@ class AxisFit:
     scatter: Floats = field(default_factory=lambda: np.empty(0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AllanFit:
     """The fit for all recordings of one length.
 
@@ -346,7 +347,7 @@ def _with(*columns: int) -> Booleans:
     return _ALL | np.isin(np.arange(len(COLUMNS)), columns)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Found:
     """theta and sigma as in AxisFit; weights (k, k) whiten the residuals; unlikely is -2 log likelihood."""
 

@@ -10,10 +10,9 @@ scatter about the spectrum as chi-square of two degrees of freedom, so that with
 (Whittle, 1953). The weights in S, none below zero, are found by multiplicative updates (Fevotte, Bertin, Durrieu 2009).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 
@@ -32,7 +31,7 @@ _SURE, _OWN = 26.0, 4.0  # of twice the log likelihood: of one axis or of all to
 _PERHAPS = 3.0  # of all together, for bounds that hold behind a filter, too; chance alone may reach it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class HighPass:
     """A filter that takes slow errors away.
 

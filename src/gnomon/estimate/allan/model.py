@@ -22,11 +22,11 @@ covariance g(s) by differencing it at both ends. The estimates at averaging time
 Gaussian second differences, whence their covariance 2 cov(z_i, z_j)^2, summed over all pairs.
 """
 
-from dataclasses import dataclass
 from math import log, pi, sqrt
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 KINDS = ("quantisation", "white_noise", "bias_instability", "random_walk")
@@ -99,7 +99,7 @@ def _lags(short: int, long: int, terms: tuple[int, int]) -> Floats:
     return lag[(lag > -terms[0]) & (lag < terms[1])]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LineEffect:
     """What a straight line through the samples takes along, for theta = 1 of each kind.
 

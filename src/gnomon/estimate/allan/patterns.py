@@ -4,12 +4,12 @@ Each of them makes an Allan variance like that of a random walk or of a bias ins
 time are compared with noise of known kinds in any proportion, with and without such a pattern, by their likelihoods.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from .model import KINDS, integral_covariances
 
@@ -24,7 +24,7 @@ _SURE: dict[PatternKind, float] = {"step": 30.0, "wave": 34.0, "warm-up": 30.0}
 """Of twice the log likelihood: the best of some two hundred steps gains 12 by chance, and noise has longer tails."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class MeansPattern:
     """A pattern in the means of one axis.
 
@@ -42,7 +42,7 @@ class MeansPattern:
     gain: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@value_class(kw_only=False)
 class _Candidates:
     """Patterns as columns (blocks, m), in groups of one or two that are fitted together."""
 

@@ -7,11 +7,11 @@ show, this is of no use (`rounding`).
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from os import cpu_count
 
 import numpy as np
 
+from ...frozen import value_class
 from ...kernel import load_kernel
 from ...kernel.library import running_sums
 from ...recording import Floats
@@ -20,7 +20,7 @@ _PIECE = 1 << 17  # of the running sum; it and what is multiplied with it stay i
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AxisProducts:
     """Sums over one axis.
 

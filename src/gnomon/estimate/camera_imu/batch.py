@@ -6,10 +6,10 @@
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Workspace
 from .layout import BorderLayout
@@ -25,7 +25,7 @@ from .trajectory import BIAS, POSE, Trajectory
 from .walk_noise import PROBES, add_walk_probes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class NoiseLevels:
     """Noise levels that the estimation weighs by.
 
@@ -46,7 +46,7 @@ class NoiseLevels:
     lasting: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigState:
     """Everything that is estimated."""
 
@@ -54,7 +54,7 @@ class RigState:
     parameters: RigParameters
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Measurements:
     """Everything that was measured.
 
@@ -70,7 +70,7 @@ class Measurements:
     used: tuple[np.ndarray, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class NormalEquations:
     """The normal equations at a state, and what was seen on the way.
 

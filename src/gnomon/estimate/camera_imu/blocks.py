@@ -1,16 +1,16 @@
 """The scalars of the constant design variables: their names, weak priors, and what is known of them beforehand."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, KnownRig
 from .parameters import RigParameters
 from .terms.board import OFFSETS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ParameterBlock:
     """Scalars that belong together.
 

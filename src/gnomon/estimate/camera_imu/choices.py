@@ -2,11 +2,11 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...options import CameraImuOptions, stated_prior
 from .blocks import ParameterBlock, parameter_blocks, sensor_priors
 from .layout import Status
@@ -39,7 +39,7 @@ _RAY = 5e-3  # of the focal length: how far a ray may be off, by the focal lengt
 _PROJECTION, _BENDING, _TANGENTIAL = 0.02, 0.05, 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Choices:
     """Status of every scalar, and the standard deviations of stated priors."""
 

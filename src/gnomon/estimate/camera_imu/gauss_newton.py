@@ -1,10 +1,11 @@
 """Steps of Gauss and Newton towards the minimum of the batch estimation, damped only where they would not go down."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import OptionError, SolveError
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...solve.bordered_band import Factor, Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
@@ -17,7 +18,7 @@ _DAMPINGS = tuple(10.0**power for power in range(-6, 5, 2))
 """Shares of the undamped step, then dampings, that are tried one after the other until the cost falls."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GaussNewtonStep:
     """A Gauss-Newton step.
 
@@ -142,7 +143,7 @@ def _cost_change(lin: NormalEquations, following: NormalEquations) -> float:
     return change
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Iteration:
     """One iteration as it went: cost before it, largest step of a parameter in sigmas, damping, whether accepted."""
 

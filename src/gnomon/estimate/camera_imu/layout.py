@@ -4,11 +4,12 @@ Rotations are perturbed on the right, and counted from where they started.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
@@ -29,7 +30,7 @@ _IMU_FIELDS = {
 """Block of an IMU -> where `ImuParameters` holds it, unless under the same name."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BorderLayout:
     """Columns of the border.
 

@@ -1,9 +1,10 @@
 """The values of the constant design variables of Table 4.1 of Krebs; `blocks` names their scalars."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import tangent_basis
 from ...models.camera import Camera
 from ...models.origin import Origin
@@ -12,7 +13,7 @@ from ...recording import Floats, KnownRig
 from .terms.board import BoardPoints
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuParameters:
     """Deterministic errors of one IMU (Krebs, chapter 3; implemented variant of chapter 4), its place and clock.
 
@@ -112,7 +113,7 @@ class ImuParameters:
         return DIAGONAL.matrix(self.S_g) @ LOWER.matrix(self.M_g) @ self.C_bg.T
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraParameters:
     """One camera: where it sits, how its clock runs, and its lens.
 
@@ -155,7 +156,7 @@ def gravity_axes(direction: Floats) -> Floats:
     return np.column_stack([plane, unit])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigParameters:
     """All constant design variables.
 

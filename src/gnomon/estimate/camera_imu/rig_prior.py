@@ -8,10 +8,9 @@ so that the residual b - K l and the prior of the lenses are independent, and to
 the rotation between two cameras hang together closely: a principal point that is off by a pixel turns the camera.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import right_jacobian, rotvec_from_rotation
 from ...geometry.so3 import invert_matrix, skew
 from ...recording import Floats, KnownRig
@@ -22,7 +21,7 @@ from .parameters import RigParameters
 _POSE = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigResidual:
     """Poses against what was known of them.
 

@@ -1,11 +1,12 @@
 """From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import SolveError
+from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
@@ -38,7 +39,7 @@ _FALLS = 0.9  # ratio of the costs of some iterations below which it is still go
 _FEWEST_FRAMES = 5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Solution:
     """The estimate.
 
@@ -69,7 +70,7 @@ class Solution:
         return self.lin.system.workspace.beside_a_factor()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Judged:
     """What the residuals say of the noise and of the frames.
 

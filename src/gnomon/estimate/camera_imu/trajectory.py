@@ -6,10 +6,11 @@ or where phi would come near a full turn, the grid is cut into segments, each wi
 the random walk of the biases runs on from one to the next.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.bspline import bspline_basis
 from ...geometry.rotation_vector import angular_acceleration_by_phi, body_rotation
 from ...geometry.so3 import skew
@@ -22,7 +23,7 @@ BIAS = 6
 """Bias scalars of one IMU at a knot: gyroscope, accelerometer."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Segment:
     """A piece of the trajectory.
 
@@ -40,7 +41,7 @@ class Segment:
     R_reference: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KnotGrid:
     """Knots of the splines.
 
@@ -98,7 +99,7 @@ class KnotGrid:
         return np.concatenate(index), np.asarray(np.concatenate(times), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Places:
     """Instants on a grid.
 
@@ -120,7 +121,7 @@ class Places:
         return Places(first=self.first[which], u=self.u[which], segment=self.segment[which], inside=self.inside[which])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Bases:
     """Values of the pose splines' basis functions and of their first two derivatives by time, (n, k) each."""
 
@@ -139,7 +140,7 @@ class Bases:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MotionState:
     """State of motion at some instants.
 
@@ -192,7 +193,7 @@ class MotionState:
         return by_phi, 2 * self.omega_by_phi - skew(self.omega) @ self.phi_jacobian, self.phi_jacobian
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Trajectory:
     """Control points on a grid.
 

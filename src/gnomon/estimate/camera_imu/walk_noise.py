@@ -6,10 +6,9 @@ few cycles of it; the estimate absorbs the rest. That leaves few degrees of free
 for the trace, and what was stated counts as a few further ones.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Factor
 from .terms.assembly import TRIAD
@@ -29,7 +28,7 @@ _FASTER = 1.5
 """Exponent of the step to the found level: alone it goes two thirds of the way, since what a walk may absorb grows."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class WalkSums:
     """Steps of one triad's walk: sum of squares in sigmas, and their number."""
 

@@ -6,11 +6,12 @@ fitted to the rays that this one sees at the pixels of the corners.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import InitialisationError, OptionError
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName
@@ -54,7 +55,7 @@ BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
 """Distortion -> coefficients from which its estimation starts."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Trial:
     """One lens on the views of the sweep, and the median distance of its corners [px]."""
 

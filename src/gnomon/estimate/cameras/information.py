@@ -5,10 +5,9 @@ log det S nats to what the others know. Views are taken greedily, the one that a
 falls as others are taken, so that a bound from before tells which need not be looked at again.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ..camera_imu.terms.corner_sums import CornerNoise
 from ..trust.clusters import ClusterSums
@@ -23,7 +22,7 @@ _FEWEST = 20
 """Views that are taken, if there are so many, however little they add."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ChosenViews:
     """Views that were chosen.
 

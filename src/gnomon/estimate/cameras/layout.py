@@ -1,10 +1,11 @@
 """Which shared parameters are estimated, in which columns, and how a step moves a rig."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -29,7 +30,7 @@ _LARGEST_XI = 20.0  # of omni
 _POWER = {"fu": 1, "fv": 1, "p1": 1, "p2": 1, "k1": 2, "k2": 4, "k3": 6, "k4": 8}  # of 1 + xi
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SharedLayout:
     """Columns of the shared parameters; those of the points of the board come last.
 

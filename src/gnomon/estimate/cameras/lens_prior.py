@@ -1,9 +1,8 @@
 """What any lens is like: a prior far wider than that, which only holds what the views leave open."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import Floats
 
@@ -12,7 +11,7 @@ _SHAPE_SIGMA = 1.0  # of xi, alpha, beta and w
 _MIDDLE_SIGMA = 0.5  # of the principal point, over the width of the image
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensPrior:
     """A normal prior of a lens's parameters.
 

@@ -9,10 +9,11 @@ three columns each, touch only the exposures in which they are seen.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.target import Target
 from ...recording import Floats
 from ..camera_imu.terms.board_terms import CornerProducts
@@ -25,7 +26,7 @@ from .views import CameraCorners
 _LOST = 0.25  # of the image's width: how far off a corner counts that the lens cannot image
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ViewNormalEquations:
     """The sums over the corners at a rig.
 
@@ -159,7 +160,7 @@ def _lost_cost(rig: CameraRig, seen: CameraCorners, noise: CornerNoise) -> float
     return 0.5 * distance**2 if distance < noise.huber else noise.huber * (distance - 0.5 * noise.huber)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ReducedEquations:
     """Normal equations of the shared parameters, the poses eliminated, and how the poses follow.
 

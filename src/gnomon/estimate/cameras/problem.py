@@ -1,10 +1,11 @@
 """The cost of views as a function of a rig: corners, columns, weights and priors in one place."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ..camera_imu.terms.corner_sums import CornerNoise
 from .board_shape import ASPECT_SIGMA, bow_sigma, offsets_information
@@ -16,7 +17,7 @@ from .rig import CameraRig, RigViews
 from .views import CameraCorners, camera_corners
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Problem:
     """What is minimised.
 

@@ -7,10 +7,11 @@ cameras to the first one and the shape of the board are shared by all views.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
@@ -18,7 +19,7 @@ from ...results.camera_diagnostics import SolverStep
 from ..trust.clusters import ClusterSums
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigViews:
     """The corners of all cameras, gathered by the instant at which they were seen.
 
@@ -43,7 +44,7 @@ class RigViews:
         return RigViews(target=self.target, cameras=self.cameras, t_ns=self.t_ns[kept], frame=self.frame[kept])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardShape:
     """How the board differs from what was stated.
 
@@ -60,7 +61,7 @@ class BoardShape:
     offsets: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraRig:
     """Everything that the views depend on.
 
@@ -79,7 +80,7 @@ class CameraRig:
     board: BoardShape
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SeenCorners:
     """The corners of one camera at a rig.
 
@@ -102,7 +103,7 @@ class SeenCorners:
     spread: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigSolution:
     """The minimum, and how certain it is.
 

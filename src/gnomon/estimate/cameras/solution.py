@@ -5,11 +5,12 @@ found in rounds between. Whole frames that fit far worse than the others are lef
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import SolveError
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.camera_diagnostics import SolverStep
 from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
@@ -32,7 +33,7 @@ _REMOVALS = 3
 _OTHER_BOARD = "Check that the target file describes the board."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _State:
     """Where the iterations are."""
 
@@ -136,7 +137,7 @@ def _descended(state: _State, most: int, at_rest: float) -> _State:
     return replace(state, rig=rig, at=at, steps=tuple(steps), converged=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Trial:
     """A rig that may be better, and its cost; infinite where it is not a finite number."""
 

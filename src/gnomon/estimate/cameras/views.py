@@ -1,10 +1,11 @@
 """Corners of several cameras, gathered by the instant at which they were seen."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 from ..camera_imu.start.board_poses import gather_exposures
@@ -14,7 +15,7 @@ from .rig import RigViews
 _APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraCorners:
     """The corners of one camera that take part.
 

@@ -4,12 +4,12 @@ Points are eliminated from the normal equations one by one (Schur complement). W
 is held by the damping alone; a camera and an IMU tell it afterwards.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.sparse import bsr_array  # pyright: ignore[reportUnknownVariableType]
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -23,7 +23,7 @@ _DENSE = 0.05  # share of the points in a key frame, from which on zeros for all
 _FAR_PX = 100.0  # of a point that has no image
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Bundle:
     """Key frames and points.
 

@@ -10,11 +10,10 @@ the specific force in the world's axes from key frame to key frame, A and B thos
 Points are eliminated one by one; what is left is as large as the path. Robust weights follow from the angles.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import bsr_array, csr_array  # pyright: ignore[reportUnknownVariableType]
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ..camera_imu.start.first_guess import ImuStream
 
@@ -26,7 +25,7 @@ _USUAL_M = 2.0  # depth, before anything is known of it
 _DEPTHS_M = 0.2, 20.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ScenePath:
     """A first guess of path and scene.
 

@@ -4,11 +4,10 @@ Of two images the rotation R and the direction t of the way between them make ea
 t . (R b1 x b2) = 0: the essential matrix, found so that most pairs of rays agree.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers
@@ -93,7 +92,7 @@ def turning_poses(t_s: Floats, R: Floats, known: np.ndarray) -> BoardPoses:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SeenTurns:
     """Rotations R (p, 3, 3) of the IMU from instants to later ones, v_earlier = R v_later, as a camera saw them.
 

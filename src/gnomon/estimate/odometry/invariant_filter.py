@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import skew
 from ...recording import Floats, Integers
@@ -34,7 +35,7 @@ _OFF = 0.03  # of a track whose rays do not meet, rms in the plane z = 1
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Sightings:
     """Tracks of landmarks, each seen in a row of images.
 
@@ -52,7 +53,7 @@ class Sightings:
     sigma: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Beginning:
     """Where the filter starts.
 

@@ -7,16 +7,15 @@ With R, v, p attitude, velocity and position of the body in the world, and gravi
 dR, dv, dp depend on the biases, to first order by Jacobians: dR(b + e) = dR Exp(J e).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec
 from ...geometry.so3 import skew
 from ...recording import Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Increments:
     """Motion over k intervals.
 

@@ -9,10 +9,9 @@ B are the tilt of the platter, and C the centripetal acceleration of each axis, 
 rests before and after the turning, or a second speed, tell F and C apart. Whole turns are not needed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 _ACROSS = 0.08  # share of the rate that may lie across the axis while the platter takes up its speed
@@ -23,7 +22,7 @@ _ANGLE_SCALE, _ANGLE_STEP, _MOST_STEPS = 0.03, 0.5, 200  # share; rad at the end
 _SIGNIFICANT, _REFINEMENTS = 25.0, 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AxisInSensor:
     """What the accelerometer showed in one attitude on the platter.
 
@@ -43,7 +42,7 @@ class AxisInSensor:
     rate: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Between:
     """What lies between two steady parts.
 
@@ -85,7 +84,7 @@ def link_parts(axes: Floats, rates: Floats, between: list[Between], zero: Floats
     return pose
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ForceBlocks:
     """The accelerometer in the parts of one attitude, in means over blocks.
 
@@ -127,7 +126,7 @@ def axis_in_sensor(blocks: ForceBlocks) -> AxisInSensor:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Fit:
     found: Floats
     inverse: Floats

@@ -5,11 +5,12 @@ stands upright, or upside down where the platter turns clockwise, and every entr
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -27,7 +28,7 @@ _TILT_THAT_COUNTS = 1e-3  # rad; its cosine is 5e-7 from 1
 _ANGULAR = slice(12, 33)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AccelerometerInPoses:
     """The accelerometer by the magnitude of gravity, in body frame accel-x.
 
@@ -46,7 +47,7 @@ class AccelerometerInPoses:
     tilt: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableFit:
     """The gyroscope, and how it hangs together with the accelerometer.
 

@@ -1,15 +1,16 @@
 """Steady parts of recordings on a turntable, as estimation takes them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ...findings import Finding
+from ...frozen import value_class
 from ...options import StatedRate
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .axis import AxisInSensor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableData:
     """Steady parts, and what the accelerometer showed in each attitude.
 
@@ -50,7 +51,7 @@ class TurntableData:
         return replace(self, force=force, **{name: getattr(self, name)[keep] for name in names})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableParts:
     """Steady parts of all recordings.
 

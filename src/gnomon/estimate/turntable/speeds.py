@@ -1,10 +1,9 @@
 """Which of the stated speeds each steady part on a turntable had, by its measured magnitude alone."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...errors import DetectionError
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 
@@ -17,7 +16,7 @@ _FARTHEST, _COST_FAR, _CLEARLY = 1.5, 0.1, 0.1  # factor of a scale; cost of its
 _ROUNDS = 10
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Speeds:
     """Speeds of steady parts.
 

@@ -6,7 +6,7 @@ once, images when they are asked for. A bag that ends early is read as far as it
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from os import PathLike
 from pathlib import Path
@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import ImuSamples, Source, TriadSamples, measurable_numbers
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
@@ -122,7 +123,7 @@ def bag_holds_only_imu(path: str | PathLike[str]) -> bool:
         return False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Order:
     """What is wanted of a bag."""
 
@@ -251,7 +252,7 @@ def _stream(bag: Bag, topic: Topic, track: ImageTrack, notes: list[str]) -> Imag
     return ImageStream(frames=source.frames, count=len(times), topic=topic.name, arrivals=track.arrivals())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Images:
     """The images of one topic, read anew as often as they are asked for."""
 

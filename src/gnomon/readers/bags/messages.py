@@ -6,13 +6,13 @@ a message object for every sample would take most of the time of reading a bag.
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ..images.image_pixels import RawImage
 
@@ -128,7 +128,7 @@ def _no_message(where: str, kind: str, data: bytes) -> RecordingError:
     return RecordingError(f"{where}: {len(data)} bytes that are no {kind}; the message is damaged.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuBlock:
     """Messages of an IMU, one row each.
 

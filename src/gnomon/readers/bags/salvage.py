@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from .messages import Wire
 from .unpacking import unpack_bytes
 
@@ -27,7 +28,7 @@ _MCAP_FOOTER, _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 2, 3, 4,
 WIRES: dict[str, Wire] = {"cdr": "cdr", "ros1": "ros1"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Channel:
     """A topic of a bag: its name, the type of its messages, and how they are laid out; None where that is unknown."""
 

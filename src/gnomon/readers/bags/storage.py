@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import FormatError, RecordingError
 from ...formats.shared.structured import parse_yaml, read_structured_text
+from ...frozen import value_class
 from ..files import first_bytes
 from .messages import Wire
 from .salvage import (
@@ -48,7 +49,7 @@ class BrokenBagError(Exception):
     """A bag cannot be read by its index; what there is of it may be found record by record."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Topic:
     """What a bag holds of one topic; `wire` is None where its messages are laid out in an unknown way."""
 
@@ -58,7 +59,7 @@ class Topic:
     count: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Bag:
     """Topics and messages of a recording.
 
@@ -77,7 +78,7 @@ class Bag:
     messages: Callable[[Collection[str]], Iterator[Record]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class BagParts:
     """The files of a bag, and the folder whose metadata.yaml describes them."""
 

@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from ...errors import OptionError, RecordingError
+from ...frozen import value_class
 from .messages import COMPRESSED_IMAGE, IMAGE, IMU
 from .storage import Bag, Topic
 
@@ -206,7 +206,7 @@ def imu_candidates(bag: Bag, stated: Mapping[str, str]) -> list[Topic]:
     return usable_topics(bag, (IMU,))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Triads:
     """Which triads the messages of a topic hold, and whether they themselves say that one of them is missing."""
 

@@ -1,17 +1,17 @@
 """What a device logged with its own app or firmware: triads with timestamps of their own, and what was assumed."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import OptionError, RecordingError
+from ...frozen import value_class
 from ...recording import Integers, Source, TemperatureSamples
 from ..samples.table import Triad
 
 StampedTriad = tuple[Integers, Triad]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DeviceLog:
     """The IMU of one recording of a camera or a phone; the triads share a clock.
 

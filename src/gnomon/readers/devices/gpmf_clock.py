@@ -5,11 +5,10 @@ evenly, at a rate of its own that drifts slowly. So timestamps are not spread pa
 all beginnings, with a rate that may change from minute to minute.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from .gpmf_streams import Device, PayloadBlock
 
@@ -19,7 +18,7 @@ _OUTLYING = 5.0
 _FEW = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PayloadTimes:
     """When the payloads begin, as the container says; none of a raw stream.
 
@@ -33,7 +32,7 @@ class PayloadTimes:
     duration_s: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Clock:
     """Timestamps of all samples of a stream.
 

@@ -8,11 +8,11 @@ said of them.
 import re
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Floats
 
 _HEAD = 8
@@ -35,7 +35,7 @@ _FRACTION = {"q": 2.0**-16, "Q": 2.0**-32}
 """Fixed-point types: Q15.16 and Q31.32."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class GpmfEntry:
     """One entry of GPMF.
 
@@ -122,7 +122,7 @@ _NEEDED = {"ACCL", "GYRO"}
 _WANTED = _NEEDED | {"MAGN", "IORI", "CORI", "SHUT", "SROT"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PayloadBlock:
     """Values of one stream in one payload, which is about a second.
 
@@ -148,7 +148,7 @@ class PayloadBlock:
     temperature: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Device:
     """One device that wrote telemetry: the camera, or what was connected to it.
 

@@ -3,12 +3,12 @@
 import zipfile
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO
 
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
+from ...frozen import value_class
 from ...recording import Source
 from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text_file
 from ..zips import ZIP_DAMAGE, refuse_zip_bomb
@@ -18,7 +18,7 @@ _TABLES = (".csv", ".txt", ".tsv")
 _INNER = ("meta",)  # of phyphox
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class LogFiles:
     """The tables of one recording.
 

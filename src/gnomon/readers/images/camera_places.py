@@ -3,13 +3,14 @@
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Integers, Source, frozen_array
 from ...recording.images import Frame, ImageStream
 from ..recordings import ReadLog
@@ -38,7 +39,7 @@ EXPECTED = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CameraPlace:
     """Where the images of one camera are: in a folder, or in a video.
 

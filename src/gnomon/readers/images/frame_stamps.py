@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Integers, Source
 from ...units import TIME_UNITS_NS
 from ..files import TextFile, read_text_file
@@ -29,7 +29,7 @@ WHAT_TO_WRITE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FrameTable:
     """A table of timestamps, in the order of its rows.
 

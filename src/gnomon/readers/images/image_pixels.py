@@ -7,7 +7,6 @@ value of a stream is taken for its depth, and the lowest bits are dropped: one s
 import struct
 import zlib
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -15,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording.images import Grey
 
 Buffer = bytes | memoryview
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Layout:
     """How one encoding lies in memory, and which conversion of OpenCV makes it grey."""
 
@@ -58,7 +58,7 @@ _PNG, _PNG_BITS = b"\x89PNG\r\n\x1a\n", 24  # where a PNG says how many bits its
 _CURE = "Convert the topic with image_proc or image_transport, or record the camera as mono8."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class RawImage:
     """The fields of sensor_msgs/Image.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from av.container import InputContainer
 from av.error import FFmpegError
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Integers
 from ...recording.images import Frame, Grey, ImageStream
 from ..files import file_source, is_mp4_head
@@ -30,7 +31,7 @@ _LUMA_FIRST = {"gray", "nv12", "nv21", "nv16", "nv24", "yuva420p", "yuva422p", "
 _MUCH_S = 0.5  # a video that ends this much earlier than it says was cut off
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Facts:
     """What a video says of itself.
 

@@ -1,10 +1,10 @@
 """What a recording of cameras and IMUs holds: which file is which stream, by its name."""
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ..files import NPZ_MAGIC, first_bytes, read_text_file
 from ..samples.column_names import column_roles
 from ..samples.text_table import sniff_layout
@@ -17,7 +17,7 @@ _TRIADS = tuple(re.compile(rf"(imu\d*)[-_/]{word}[a-z]*({_TABLE}|\.log)", re.IGN
 _EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CornerStream:
     """Files of one camera whose corners were detected beforehand.
 

@@ -1,7 +1,6 @@
 """The timestamps of a folder with corners, where neither the cameras nor the board are described."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...formats.kalibr.camchain import CameraInput
+from ...frozen import value_class
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Integers, Source
 from ...units import Units
@@ -18,7 +18,7 @@ from .corner_table import CornerTable, read_corner_table, read_frame_stamps
 from .imu_stream import read_imu
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerStamps:
     """Samples, and when frames were taken.
 

@@ -4,13 +4,13 @@ Two layouts: time, tag, corner of the tag (0 to 3), u, v; or time, number of the
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Floats, Integers, Source
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
@@ -28,7 +28,7 @@ _OTHER_WORDS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CornerColumns:
     """Columns of a table of corners.
 
@@ -49,7 +49,7 @@ class CornerColumns:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerTable:
     """Rows of a table of corners, in the order of the file.
 

@@ -4,7 +4,7 @@ T_BS maps coordinates of the sensor to those of the body, p_body = T_BS @ p_sens
 only: whatever cannot be used is passed over with a note.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from ...errors import FormatError, OptionError
@@ -13,6 +13,7 @@ from ...formats.kalibr.imu import ImuInput
 from ...formats.shared.baselines import inverse_pose
 from ...formats.shared.foreign_yaml import read_foreign_yaml, read_transform
 from ...formats.shared.structured import Node
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array
@@ -26,7 +27,7 @@ _NOISE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SensorInput:
     """What the sensor.yaml of one sensor says.
 

@@ -1,10 +1,10 @@
 """What the name of a column says: which quantity, which axis, which unit."""
 
 import re
-from dataclasses import dataclass
 from typing import Literal
 
 from ...errors import OptionError, RecordingError
+from ...frozen import value_class
 from .column_help import column_counts, columns_help
 from .text_table import TextLayout, column_rises, is_number
 
@@ -77,7 +77,7 @@ _LONGEST = 400
 """Characters of a name that are looked at; no name is so long."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ColumnName:
     """A column's name, understood.
 
@@ -196,7 +196,7 @@ def _time_word(words: list[str]) -> str | None:
     return next((unit for word in words if len(word) > 1 and (unit := unit_of(word, "time"))), None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TriadColumns:
     """Columns x, y, z of one triad; quantity "unnamed" where only the values can tell which sensor it is."""
 
@@ -205,7 +205,7 @@ class TriadColumns:
     unit: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Roles:
     """Columns that are used.
 

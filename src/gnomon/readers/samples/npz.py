@@ -21,7 +21,7 @@ Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g
 
 import zipfile
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
+from ...frozen import value_class
 from ...recording import Floats, Integers, TemperatureSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
 from ..zips import ZIP_DAMAGE, refuse_false_arrays
@@ -41,7 +42,7 @@ _STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "
 _PREFIXES = ("t", "time", "timestamp", "ts")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class SensorArray:
     """One array of samples: its key, its unit where the name tells it, and the key of its timestamps, or None."""
 

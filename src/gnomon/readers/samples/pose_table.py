@@ -13,11 +13,11 @@ has neither and is short is a table of poses, and so is a short table with one o
 """
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Floats, Poses, Recording
 from ...results.intervals import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS_NS, Units
@@ -44,7 +44,7 @@ _NAME = re.compile(r"(?:pose|poses|name|label|file|attitude|orientation|position
 _WHOLE_POSES = {"reference", "accelerometer_sigma", "gyroscope_sigma", "samples"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PoseColumn:
     """What a column of a table of poses holds.
 

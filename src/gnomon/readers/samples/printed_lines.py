@@ -10,12 +10,13 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date
 from functools import lru_cache
 from itertools import pairwise
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Source
 from ..files import TextFile
 from .column_names import OTHER, column_name, time_columns, unit_of
@@ -50,7 +51,7 @@ Gaps = tuple[bytes, ...]
 """What stands before, between and behind the numbers of a line, each run of white space one character."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PrintedForm:
     """How the lines of a log become rows.
 

@@ -1,10 +1,10 @@
 """What samples are, told from their values: which triad is which, and in which unit."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...units import ACCELEROMETER_UNITS_M_S2, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 
@@ -22,7 +22,7 @@ _LIKE_EARTH_UT = (14.2, 142.0)  # the earth's field is 22 to 67 uT; an uncalibra
 _DECISIVE = 10.0  # ratio of the scatters of the two triads between rests
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Unit:
     """A unit that was recognised, and why."""
 
@@ -175,7 +175,7 @@ def _radius(values: Floats) -> float | None:
     return radius * width if float(np.std(distance)) < _ROUND * radius and radius < _WIDEST else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Recogniser:
     """What tells the units from the values: of the accelerometer, and of the gyroscope given timestamps and force."""
 

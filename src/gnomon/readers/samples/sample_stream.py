@@ -2,8 +2,8 @@
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
+from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...units import Units
 from .recognise import accelerometer_unit
@@ -14,7 +14,7 @@ TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """The sensors of an IMU, in the order in which readers of blocks count them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SampleStream:
     """One IMU's samples in consecutive blocks; the blocks of its triads need not have the same timestamps or lengths.
 
@@ -30,7 +30,7 @@ class SampleStream:
     thermometer: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class UnitChoice:
     """Units that were stated, and those that are taken where nothing tells otherwise."""
 

@@ -3,7 +3,6 @@
 import zipfile
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
+from ...frozen import value_class
 from ...recording import TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
@@ -97,7 +97,7 @@ def _chosen(archive: zipfile.ZipFile, choice: UnitChoice, name: str, array: Sens
     return choice.gyroscope(array.unit) if name == "gyroscope" else choice.magnetometer(array.unit)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Triad:
     """One triad of an NPZ file; clock and clock_unit are key and unit of its timestamps, rows the length of a block."""
 

@@ -6,13 +6,14 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Integers, Source, TriadSamples
 from ...units import Units
 from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
@@ -35,7 +36,7 @@ class _Bytes(Protocol):
     def read(self, size: int, /) -> bytes: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Plan:
     """How a file is to be read.
 

@@ -1,11 +1,12 @@
 """Format "table": text with one row a sample. EuRoC, TUM-VI, Kalibr and imu_tk files are such tables, too."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples
 from ...units import Units
@@ -38,7 +39,7 @@ RATE_HELP = "State it with --rate, for example --rate 100."
 TIME_HELP = ' If a column holds the time, name the columns: --columns "t ax ay az gx gy gz" (_ skips one).'
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Triad:
     """Samples of one sensor; quantity "unnamed" where only the values can tell which one it is.
 
@@ -54,7 +55,7 @@ class Triad:
     unit: str | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class SampleTable:
     """What is in a table.
 

@@ -4,13 +4,13 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...frozen import value_class
 from ...recording import Source, measurable_numbers
 from ..files import TextFile
 from .number_table import parse_number_table
@@ -26,7 +26,7 @@ _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", None: "white space"}
 Column = NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TextLayout:
     """How a table is written.
 

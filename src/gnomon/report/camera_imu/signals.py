@@ -1,10 +1,10 @@
 """Figures of a camera-IMU report: signals measured and predicted, residuals, biases, and how the rig was moved."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.quaternion import rotation_from_quaternion
 from ...geometry.so3 import tangent_basis
 from ...recording import Floats, Integers
@@ -225,7 +225,7 @@ _FASTER_THAN = 0.3
 """Share of the rms rate above which a sample says something about the axis of rotation."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RigMotion:
     """How the rig moved.
 

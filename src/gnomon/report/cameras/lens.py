@@ -6,12 +6,12 @@ turn is taken off: whoever uses the lens estimates an attitude with it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import degrees
 
 import numpy as np
 
 from ...assess.cameras.cameras_tables import CELLS
+from ...frozen import value_class
 from ...geometry.so3 import skew
 from ...models.camera import Camera
 from ...recording import Floats
@@ -32,7 +32,7 @@ _WIDEST = np.radians(68)
 _GRID_LINES = 14
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ProjectionSpread:
     """How well the image of a ray is known, cell by cell of the image.
 
@@ -122,7 +122,7 @@ def _per_axis(slopes: Floats, covariance: Floats) -> Floats:
     return np.sqrt(np.fmax(variance, 0.0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RadialCurve:
     """Distance of an image from that of the optical axis, over the angle of the ray to it, mean over all directions.
 

@@ -1,10 +1,10 @@
 """Figures of a camera report that show from where the board was seen, and how two cameras of a rig fit together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -25,7 +25,7 @@ _PYRAMID = np.array([[-0.5, -0.34, 0.75], [0.5, -0.34, 0.75], [0.5, 0.34, 0.75],
 _LOOK = rotation_from_rotvec(np.array([np.radians(22), 0, 0])) @ rotation_from_rotvec(np.array([0, np.radians(36), 0]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ViewsAround:
     """The views about the middle of the board, z towards the viewer.
 
@@ -186,7 +186,7 @@ _SAME_S = 1e-3
 """Frames of two cameras whose timestamps differ by less show the same instant."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class EpipolarErrors:
     """Corners that two cameras saw at one instant.
 

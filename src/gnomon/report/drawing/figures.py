@@ -6,10 +6,10 @@ one report as the calibration itself: 0.8 s to load, 0.15 s a figure; this takes
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ..numbers import finite_values, positive_or
 from . import svg
@@ -24,7 +24,7 @@ TEXT = 12.5
 """Size of titles and names in figure units."""
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class SheetText:
     """A line of text beside the panels, with its baseline at y, in figure units."""
 
@@ -34,7 +34,7 @@ class SheetText:
     style: svg.TextStyle
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@value_class(kw_only=False)
 class Plot:
     """A finished figure, which becomes SVG for a page, or is drawn by Matplotlib.
 

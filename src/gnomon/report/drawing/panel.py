@@ -1,12 +1,12 @@
 """One panel of a figure: two scales, and the lines, areas, dots and texts that are drawn between them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ..numbers import number_text, power_of_ten
 from . import svg
@@ -115,7 +115,7 @@ _BELOW, _ASIDE, _LOWER = 23.12, 9.0, 4.56
 with their baseline so far below the tick."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Shape:
     """A path to be drawn when the limits of the scales are known.
 
@@ -140,7 +140,7 @@ class Shape:
     depth: Floats | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class PanelText:
     """A line of text with its baseline at (x, y) of the scales, moved right and down by figure units.
 

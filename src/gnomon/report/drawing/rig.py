@@ -1,10 +1,10 @@
 """Drawings in space: the cameras and IMUs of a rig; the accelerometers of one IMU, its origin and the camera."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...recording import Floats
 from ...results.calibration import Calibration
@@ -15,7 +15,7 @@ from .figures import AXES, TEXT, WIDTH, LabelPlaces, Plot, Sheet, fit_to_scale, 
 from .panel import DASHED, Panel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Body:
     """Something with axes: its name, its origin (3,) and its axes as columns (3, 3), in the first camera's frame."""
 

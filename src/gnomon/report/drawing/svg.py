@@ -1,10 +1,10 @@
 """Pieces of SVG: paths with two decimals, their styles in the colours of the page, and texts."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 
 Align = Literal["left", "center", "right"]
@@ -62,7 +62,7 @@ def _rounded(*columns: Floats) -> tuple[float, ...]:
     return tuple(places.ravel().tolist())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ShapeStyle:
     """How a shape is drawn: its outline, and whether it is filled.
 
@@ -107,7 +107,7 @@ def dot_css(style: ShapeStyle) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TextStyle:
     """How a text is written: colour of page.css, size in figure units, and which part of it stands at its place."""
 

@@ -1,7 +1,6 @@
 """What each triad of one sensor measured many times, as the sections of its report need it."""
 
-from dataclasses import dataclass
-
+from ...frozen import value_class
 from ...results.imu_diagnostics import ImuDiagnostics, IntervalTable
 from ...results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
 
@@ -24,7 +23,7 @@ MOST_ROWS = 60
 """Rows of a table beyond this are counted instead of shown."""
 
 
-@dataclass(frozen=True, slots=True)
+@value_class(eq=True, kw_only=False)
 class Vectors:
     """A vector of known magnitude that one triad measured many times."""
 

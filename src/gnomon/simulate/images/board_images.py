@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
@@ -39,7 +40,7 @@ class _Views(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Scene:
     """What a camera sees, and how: light, blur and noise; `seed` is that of the noise."""
 

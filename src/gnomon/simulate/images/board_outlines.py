@@ -6,12 +6,12 @@ the right of it; one that runs up takes as much away. So each piece concerns two
 the rest.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.board_pattern import BoardPattern
 from ...models.target import Target
 from ...recording import Floats, Integers
@@ -24,7 +24,7 @@ _TILES = 48  # along a side of the board, where it is not in the image as a whol
 _STRAIGHT_M = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TrueBoard:
     """Where the points of a board truly are: larger, bent, or each off its place by itself.
 
@@ -65,7 +65,7 @@ def _terms(points: Floats) -> Floats:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Outline:
     """Closed outlines, cut into short pieces.
 

@@ -1,18 +1,18 @@
 """What is around a board: a wall behind it, with edges, lines, texture and foreign tags; hands and cables before it."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...models.board_pattern import tag_cells, tag_codes
 from ...recording import Floats
 
 _POINTS = 48  # of an outline
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Wall:
     """A plane behind the board, parallel to it; beyond its picture that is mirrored again and again.
 
@@ -90,7 +90,7 @@ def _stick(texels: NDArray[np.uint8], cells: NDArray[np.bool_], rng: np.random.G
     texels[share > 127] = drawn[share > 127]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Occluder:
     """One of them; all numbers in px but for those of time.
 
@@ -112,7 +112,7 @@ class _Occluder:
         return self.outline + self.middle + self.swing * np.sin(self.pulsation * t_s + self.phase)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MovingOccluders:
     """Hands and cables before a board."""
 

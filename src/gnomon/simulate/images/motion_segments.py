@@ -5,11 +5,11 @@ needs; with a rolling shutter a point is seen at the instant at which the row wh
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import Floats
 
@@ -45,7 +45,7 @@ class Movement(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class InstantPoses:
     """Poses of their own for each instant: R (k, 3, 3), p (k, 3) [m]; all rows expose at once."""
 
@@ -72,7 +72,7 @@ class InstantPoses:
             yield self.camera.project(points @ R.T + p, point_jacobian=False).pixels
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MotionSegment:
     """A smooth motion during an exposure.
 

@@ -1,7 +1,6 @@
 """Images of a turning platter as a webcam sees them, and the rate that is true of them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from math import cos, pi, radians, sin
 from typing import Any
@@ -10,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
 from ...recording.images import Frame, Grey, ImageStream
 from ..scenarios.platter import PlatterScenario
@@ -23,7 +23,7 @@ _SETTLED = 9.0  # time constants until the rate is steady to 1e-4
 _DISTANCE = 3.0  # of the camera, in radii
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PlatterVideo:
     """A simulated video, whose images are drawn on demand, and its truth.
 

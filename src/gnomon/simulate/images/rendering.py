@@ -6,11 +6,11 @@ lens does, and averaged over each pixel. What is behind the board is looked up r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.board_pattern import BoardPattern
 from ...models.camera import Booleans, Camera
 from ...recording import Floats
@@ -29,7 +29,7 @@ _WALL_INSTANTS = 3  # at most: a wall may be smeared less smoothly
 _FAR = 10000.0  # texels; further away, the wall is one grey
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Optics:
     """Light, lens blur and sensor noise.
 
@@ -142,7 +142,7 @@ def render_moving(
     return _image(scene, options, wall, occluders, rng)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Scene:
     """A board and a camera that may move against it; see `render_board`."""
 
@@ -181,7 +181,7 @@ def _image(
     return np.asarray(cv2.convertScaleAbs(np.maximum(scene, 0, out=scene)), dtype=np.uint8)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Blur:
     """Blur of the lens: standard deviation of a Gaussian, and radius of the disc of a point out of focus [px]."""
 
@@ -224,7 +224,7 @@ def _disc(radius: float) -> Singles:
     return (share / share.sum()).astype(np.float32)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Board:
     """How much of the pixels of a region, rows and columns, is the board's sheet, and how much of them is black."""
 

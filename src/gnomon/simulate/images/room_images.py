@@ -9,12 +9,12 @@ so that three products a pixel tell what it shows, and the greatest inverse dist
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from typing import Self
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.camera import Camera
 from ...recording import Floats
@@ -35,7 +35,7 @@ _SHARPEST = 1.3  # texels to a pixel, from which on a coarser level is looked up
 _SIDES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))  # axis of the normal, and those of the texture
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Surfaces:
     """Rectangles of a box, seen from outside or, of a room, from inside.
 
@@ -237,7 +237,7 @@ def _coarsest(extent: Singles, texel_m: float) -> int:
     return max(0, int(np.log2(float(extent.min()) / texel_m)) - 3)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _RoomView:
     """What a camera sees of a room on its path."""
 

@@ -7,10 +7,11 @@ mean of `EVEN_WEIGHTS`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.so3 import skew
 from ....models.origin import EVEN_WEIGHTS, Origin
 from ....recording import Floats
@@ -25,7 +26,7 @@ _PER_SPAN = 3
 """Instants in each span of the splines by which they follow the origin."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Shift:
     """How far an origin moves (3,) [m], IMU's axes, and its derivative (3, 6) by the lever arms."""
 

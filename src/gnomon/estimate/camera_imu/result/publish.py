@@ -1,10 +1,10 @@
 """From the estimated scalars to what a calibration publishes, with the covariance of all of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.so3 import skew
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats
@@ -17,7 +17,7 @@ _BIASES = 6
 _POSE_AND_CLOCK = (*(f"T_imu_body.{part}[{k}]" for part in ("rotation", "translation") for k in range(3)), "time_shift")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PublishedRig:
     """IMUs and cameras.
 

@@ -6,10 +6,10 @@ an estimate that has neither, before anything is estimated anew.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ....frozen import value_class
 from ....recording import Floats, Integers
 from ..solution import Solution
 from ..terms.board import BoardPoints
@@ -25,7 +25,7 @@ _FEWEST_CLUSTERS = 6
 _DRAWS = 5000  # of signs
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class CornerCorrelation:
     """How the residuals of corners are correlated; independent errors would give zeros.
 
@@ -43,7 +43,7 @@ class CornerCorrelation:
     neighbours: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ResidualPattern:
     """Residuals that come back at the same place in all clusters of time.
 
@@ -64,7 +64,7 @@ class ResidualPattern:
     clusters: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CountingCorners:
     """Corners of one camera that count.
 

@@ -9,10 +9,11 @@ The equations count all errors as independent. What a recording really shows, cl
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....frozen import value_class
 from ....recording import Floats, Integers
 from ....results.trust import Clusters
 from ...trust.clusters import ClusterSums, leave_clusters_out, whole_estimate
@@ -32,7 +33,7 @@ _LEAST_MEMORY = 1
 """Stretches: the trajectory that is fitted to them makes neighbouring ones alike, however white the noise is."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FixedParameterEffect:
     """What a held parameter would do.
 
@@ -50,7 +51,7 @@ class FixedParameterEffect:
     wanted_sigma: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TimeClusters:
     """Clusters of time and what they are made of.
 
@@ -68,7 +69,7 @@ class TimeClusters:
     clusters: Clusters
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Uncertainty:
     """Covariance of what is published.
 

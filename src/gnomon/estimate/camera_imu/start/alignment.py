@@ -7,11 +7,12 @@ taken, at every shift of the whole overlap.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ....errors import InitialisationError
+from ....frozen import value_class
 from ....geometry.rotation_vector import rotvec_from_rotation
 from ....geometry.so3 import nearest_rotation
 from ....recording import Floats
@@ -35,7 +36,7 @@ _LEAST_STEP_S, _STEP_TIMES = 0.02, 8.0  # a step, and times the usual change bet
 _WORSE, _SURE = 1.2, 30.0  # a single shift leaves so many times the variance in a part; its log-likelihood, at least
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GyroscopeIntegral:
     """The integral of the gyroscope's readings over time, to be read at any instant.
 
@@ -53,7 +54,7 @@ class GyroscopeIntegral:
         return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(self.angle.shape[1])], axis=-1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Alignment:
     """One camera's clock and axes relative to the IMU.
 
@@ -79,7 +80,7 @@ class Alignment:
     consistent: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Turns:
     """Rotations of the camera from frame `first` to frame `second`: from `start_s` to `stop_s`, by `rotvec`."""
 
@@ -153,7 +154,7 @@ def align_camera(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> A
     return found
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ClockStep:
     """A step of the time shift between a camera and the IMU.
 
@@ -518,7 +519,7 @@ def _hand_eyes(turns: _Turns, integral: GyroscopeIntegral, shifts: Floats) -> li
     ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Fits:
     """Rotations R_imu_cam (k, 3, 3), gyroscope biases (k, 3) [rad/s], and the error of every turn (k, n) [rad/s]."""
 
@@ -527,7 +528,7 @@ class _Fits:
     error: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _HandEye:
     """The best rotation and bias at a time shift.
 

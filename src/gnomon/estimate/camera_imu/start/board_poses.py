@@ -4,11 +4,12 @@ A homography from the board's plane to the viewing rays gives the pose of all fr
 steps refine it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.rotation_vector import rotation_from_rotvec
 from ....models.camera import Camera
 from ....models.target import Target
@@ -28,7 +29,7 @@ SMALLEST_PX = 1e-3
 """No detector is better than this."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardPoses:
     """Poses of the target in the camera's frame, of the frames that determine one.
 

@@ -4,11 +4,12 @@ board poses -> time shift, rotation between camera and IMU, gyroscope bias -> kn
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ....errors import InitialisationError, OptionError
+from ....frozen import value_class
 from ....geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ....models.origin import Origin
 from ....models.target import Target
@@ -35,7 +36,7 @@ _ONE_AXIS = 0.1
 """Ratio of the second to the first principal rate below which the rotation is about one axis only."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraAlignment:
     """What one camera saw, and how it lies to the IMU.
 
@@ -54,7 +55,7 @@ class CameraAlignment:
     target: Target
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuStream:
     """Gyroscope and accelerometer of an IMU on one time base, for the first guess only.
 

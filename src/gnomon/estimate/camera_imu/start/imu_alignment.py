@@ -9,9 +9,10 @@ is left to the estimation, which starts from the body's origin.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ....errors import InitialisationError, OptionError
+from ....frozen import value_class
 from ....recording import Floats, ImuSamples
 from ..choices import kept_or_prior
 from ..layout import Status
@@ -20,7 +21,7 @@ from .alignment import Alignment, align_camera, gyroscope_integral
 from .first_guess import CameraAlignment, ImuStream, align_with_gravity
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuAlignment:
     """An IMU beside the first.
 

@@ -5,12 +5,12 @@ again where a rotation vector would come near a full turn from the segment's ref
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
 from ....errors import InitialisationError
+from ....frozen import value_class
 from ....geometry.bspline import bspline_basis
 from ....geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ....geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrap_rotvecs
@@ -27,7 +27,7 @@ _FEWEST_FRAMES = 5
 _SHORTEST_S = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuPath:
     """Attitude and position of the IMU at its timestamps, roughly.
 
@@ -127,7 +127,7 @@ def _usable_spans(t_s: Floats, frame_t_s: Floats, spacing: float) -> list[tuple[
     return spans
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Piece:
     """A piece of the path: from when to when, its reference attitude, and its rotation vectors here and there."""
 

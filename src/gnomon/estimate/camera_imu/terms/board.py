@@ -5,10 +5,11 @@ place, in all frames and cameras. A shift, a turn or another size of the whole b
 another direction of gravity, another scale: these seven freedoms are taken from the shifts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....frozen import value_class
 from ....models.target import Target
 from ....recording import Floats
 
@@ -26,7 +27,7 @@ _GAUGE = 1e-3
 """Standard deviation of the freedoms of the whole board, as a share of that of a corner."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BoardPoints:
     """The corners of the target.
 

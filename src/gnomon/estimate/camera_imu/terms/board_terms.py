@@ -7,12 +7,12 @@ of `BorderedBand`); with everything else summed up over the exposures.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy.sparse import bsr_array, csr_array  # pyright: ignore[reportUnknownVariableType]
 
+from ....frozen import value_class
 from ....recording import Floats, Integers
 from ....solve.bordered_band import BorderedBand
 from ..trajectory import BIAS, POSE
@@ -122,7 +122,7 @@ def multiply_blocks(blocks: Floats, products: PoseProducts) -> PoseProducts:
     return bsr_array((blocks, every[:-1], every)).tocsr() @ products
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Coupling:
     """What the corners of one camera's used exposures have in common with everything else.
 

@@ -9,13 +9,13 @@ whether the twist comes from the pose, the extrinsics, the time shift or the lin
 once, in the eight or so columns [-G [p]x | G | own parameters | residual | probe], and mapped to the unknowns later.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ....frozen import value_class
 from ....kernel import library
 from ....models.camera import Camera
 from ....recording import Floats, Integers
@@ -40,7 +40,7 @@ class OffsetProducts(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Exposures:
     """Corners of one camera, gathered by the instant of their exposure.
 
@@ -72,7 +72,7 @@ class Exposures:
         return np.repeat(np.arange(len(self)), np.diff(self.start))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerNoise:
     """How corners are weighed.
 
@@ -88,7 +88,7 @@ class CornerNoise:
     probe_sign: Floats | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerSums:
     """Sums of products over the corners of each exposure.
 

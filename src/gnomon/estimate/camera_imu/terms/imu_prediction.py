@@ -8,10 +8,9 @@ r - t from the body's origin, and
 Turning the pose by a small rotation d on the right changes each of R omega, R alpha and R f, v, by -[v]x R d.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.rigid_body import acceleration_by_place, along_axes
 from ....geometry.so3 import skew
 from ....recording import Floats
@@ -81,7 +80,7 @@ def predicted_readings(trajectory: Trajectory, parameters: RigParameters, data: 
     return whole[0], whole[1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ForceJacobian:
     """Derivatives (n, 3, 3) by the rotation vector, its rate and acceleration, and the acceleration of the body."""
 

@@ -1,10 +1,11 @@
 """Readings of gyroscopes and accelerometers, and where they lie on the trajectory."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ....frozen import value_class
 from ....models.noise import ImuNoise
 from ....recording import Floats
 from ..layout import Status
@@ -13,7 +14,7 @@ from ..start.initial_trajectory import MARGIN_S
 from ..trajectory import KnotGrid, Places
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadData:
     """Readings of one triad.
 
@@ -27,7 +28,7 @@ class TriadData:
     used: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class InertialData:
     """Readings of one IMU that share their timestamps.
 
@@ -52,7 +53,7 @@ def triad_readings(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats,
                 yield data.t_s, triad.values
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class InertialNoise:
     """Standard deviation of a single reading of gyroscope [rad/s] and accelerometer [m/s^2]."""
 
@@ -60,7 +61,7 @@ class InertialNoise:
     accelerometer: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuBeforehand:
     """What is known of an IMU's recording before anything is estimated.
 

@@ -15,11 +15,11 @@ along the trajectory: de/dd is the derivative of e by time, that by the control 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
 from ....geometry.rigid_body import acceleration_by_place, along_axes
 from ....geometry.so3 import skew
@@ -294,7 +294,7 @@ class InertialTerms:
                 np.multiply(derivative(), weight[:, None, None], out=rows[:, :, at])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Readings:
     """What is the same for both triads at some timestamps, in the IMU's axes.
 

@@ -11,11 +11,12 @@ twist (tau_r, x x tau_r) about the camera's origin, and
     exposing later by dt                           the body turns by omega dt and moves by v dt.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from ....frozen import value_class
 from ....geometry.so3 import skew
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
@@ -27,7 +28,7 @@ from .board_terms import CornerProducts, Coupling, exposure_corners, multiply_bl
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class VisualData:
     """Corners of one camera.
 
@@ -235,7 +236,7 @@ def _own_columns(layout: BorderLayout, entry: CameraParameters) -> tuple[Integer
     return np.array(own, dtype=np.int64), layout.get("target.scale") is not None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Maps:
     """How blocks of the border act: by a twist (e or 1, 6, b), or as own columns of the sums, `count` of them."""
 
