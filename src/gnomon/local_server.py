@@ -8,7 +8,9 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 from .errors import OptionError
 
@@ -16,6 +18,14 @@ Handler = Callable[[Any], Awaitable[Any]]
 _MOST_CONNECTIONS = 256
 _LONGEST_QUERY = 8192
 _POLICY = "base-uri 'none'; frame-ancestors 'none'"
+
+
+class Identity(NamedTuple):
+    """A certificate and its key, in PEM, and its fingerprint (SHA-256)."""
+
+    certificate: bytes
+    key: bytes
+    fingerprint: str
 
 
 class LocalServer:
@@ -28,6 +38,7 @@ class LocalServer:
     install : what to do where Starlette or uvicorn is missing
     port : 0 is any that is free
     lan : whether other devices of the network may see it
+    identify : makes the identity for some hosts by which it is served over TLS; None serves it as it is
 
     Raises
     ------
@@ -43,6 +54,7 @@ class LocalServer:
         install: str,
         port: int = 0,
         lan: bool = False,
+        identify: Callable[[Sequence[str]], Identity] | None = None,
     ) -> None:
         try:
             import uvicorn
@@ -50,6 +62,9 @@ class LocalServer:
             from starlette.routing import Route
         except ImportError:
             raise OptionError(f"the page needs Starlette and uvicorn. {install}") from None
+        self._hosts = ["localhost", "127.0.0.1", *([_own_address()] if lan else [])]
+        identity = None if identify is None else identify(self._hosts)
+        self._scheme, self.fingerprint = ("http", "") if identity is None else ("https", identity.fingerprint)
         self.token = secrets.token_urlsafe(24)
         self.headers: Mapping[str, str] = {
             "Content-Security-Policy": f"default-src 'none'; {policy}; {_POLICY}",
@@ -68,7 +83,6 @@ class LocalServer:
                 f"--port {port}: the page cannot be served there ({error}). Choose another port."
             ) from None
         self.port = int(self._socket.getsockname()[1])
-        self._hosts = ["localhost", "127.0.0.1", *([_own_address()] if lan else [])]
         self.app = self._guarded(Starlette(routes=[Route(path, do, methods=[method]) for path, method, do in routes]))
         options = uvicorn.Config(
             self.app,
@@ -78,12 +92,14 @@ class LocalServer:
             limit_concurrency=_MOST_CONNECTIONS,
             server_header=False,
         )
+        if identity is not None:
+            _load_identity(options, identity)
         self._server = uvicorn.Server(options)
         self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
 
     def address_of(self, path: str = "/") -> str:
         """Return where a path is, with the token."""
-        return f"http://{self._hosts[-1]}:{self.port}{path}?token={self.token}"
+        return f"{self._scheme}://{self._hosts[-1]}:{self.port}{path}?token={self.token}"
 
     def begin_serving(self) -> None:
         """Begin to serve, in a thread of its own."""
@@ -109,7 +125,8 @@ class LocalServer:
 
         answer = Response(content, media_type=kind, headers=self.headers)
         if first:
-            answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict")
+            secure = self._scheme == "https"
+            answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict", secure=secure)
         return answer
 
     def say(self, text: str, status: int = 200) -> Any:
@@ -140,7 +157,7 @@ class LocalServer:
         if request.headers.get("host", "") not in own:
             return 400, "This page has another address."
         origin = request.headers.get("origin")
-        if origin is not None and origin not in {f"http://{host}" for host in own}:
+        if origin is not None and origin not in {f"{self._scheme}://{host}" for host in own}:
             return 403, "This page may not be used from another one."
         given = request.query_params.get("token") or request.cookies.get(self._cookie, "")
         if not secrets.compare_digest(given.encode(), self.token.encode()):
@@ -150,6 +167,16 @@ class LocalServer:
     @property
     def _cookie(self) -> str:
         return f"gnomon-{self.port}"
+
+
+def _load_identity(options: Any, identity: Identity) -> None:
+    """Have uvicorn's options load a certificate with its key, which it takes from files alone."""
+    with TemporaryDirectory(prefix="gnomon-") as folder:  # for this user only
+        for name, content in (("ssl_certfile", identity.certificate), ("ssl_keyfile", identity.key)):
+            path = Path(folder) / name
+            path.write_bytes(content)
+            setattr(options, name, str(path))
+        options.load()
 
 
 def _own_address() -> str:

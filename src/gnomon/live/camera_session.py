@@ -108,6 +108,9 @@ class CameraSession:
             self._stamps.append(arrival.t_ns)
             self._pending.append(arrival)
 
+    def take_arrivals(self) -> None:
+        """Images wait until they are looked at."""
+
     def look_at_arrivals(self) -> BoardState:
         """Look at the newest image, and return what there is to say."""
         self.images.sync_files()

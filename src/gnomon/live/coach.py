@@ -115,10 +115,13 @@ class Coach:
     """The triad that tells motion from rest."""
     unwanted = "magnetometer"
     """The stream that is not recorded: of a folder, gnomon's commands read two files."""
+    remembered = 500_000
+    """How many samples of a triad are looked at, at least; up to twice as many are kept."""
 
     def __init__(self, use: Use, stated: Units | None = None) -> None:
         self._use, self._stated = use, stated or Units()
         self._triads = {name: _Growing() for name in TRIADS}
+        self._first_ns: int | None = None
         self._named: dict[str, str | None] = {}
         self._told: dict[str, str] = {}
         self._levels: list[Floats] = []
@@ -135,6 +138,9 @@ class Coach:
         self._named |= dict(named)
         for name, block in blocks.items():
             self._triads[name].append_block(block)
+            self._triads[name].keep_last(self.remembered)
+            if name == self.leading and len(block) and self._first_ns is None:
+                self._first_ns = int(block.t_ns[0])
 
     @property
     def samples(self) -> ImuSamples:
@@ -146,8 +152,8 @@ class Coach:
         t_ns, values = self._triads[self.leading].rows
         if len(t_ns) < 2:
             return self.state
-        seconds = float(t_ns[-1] - t_ns[0]) * 1e-9
-        rate_hz = (len(t_ns) - 1) / seconds if seconds > 0 else 0.0
+        kept_s, seconds = float(t_ns[-1] - t_ns[0]) * 1e-9, float(t_ns[-1] - (self._first_ns or 0)) * 1e-9
+        rate_hz = (len(t_ns) - 1) / kept_s if kept_s > 0 else 0.0
         if seconds < 2 * _WINDOW_S:
             return self.state
         spread = self._spread(t_ns, values)

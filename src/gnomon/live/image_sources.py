@@ -115,7 +115,8 @@ def open_rig_sources(texts: Sequence[str], units: Units | None = None) -> tuple[
         If a recording cannot be replayed.
     """
     if len(texts) == 2:
-        return open_image_source(texts[0]), open_source(texts[1], units)
+        first, second = sorted(texts, key=_place)
+        return open_image_source(first), open_source(second, units)
     kind, where, number = parse_source(texts[0], _RIG_FORMS, numbered=("replay",))
     if len(texts) > 2 or kind not in {"replay", "simulate"}:
         raise OptionError(f"{' '.join(texts)}: expected {_RIG_FORMS}.")
@@ -127,6 +128,12 @@ def open_rig_sources(texts: Sequence[str], units: Units | None = None) -> tuple[
         recording, target = simulated_images(simulation), simulation.target
     images = ReplayImages(recording, pace, target, where if kind == "replay" else "")
     return images, ReplaySource(recording.imus["imu0"], pace)
+
+
+def _place(text: str) -> int:
+    """Return where a source belongs among two: a camera first, what has no images last."""
+    kind = text.partition(":")[0]
+    return 0 if kind == "camera" else 2 if kind in {"serial", "tail", "udp", "phyphox", "http"} else 1
 
 
 def simulate_rig(where: str) -> CameraImuSimulation:

@@ -1,6 +1,6 @@
 """A guided capture of a camera with an IMU: both are recorded, and both are looked at together."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from ..detect.boards.board import BoardView
 from ..models.camera import Camera
 from ..models.target import Target
 from ..options.requirements import Use
-from ..recording import Recording, TriadSamples
+from ..recording import Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, Units
 from .board_coach import BoardCoach, BoardState, frames_of
 from .camera_session import CameraSession
@@ -27,7 +27,6 @@ _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 4.0, 3.0, 20
 _CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 4.0
-_REMEMBERED = 20_000  # samples
 
 
 class MotionCoach(Coach):
@@ -38,16 +37,12 @@ class MotionCoach(Coach):
     turned_s, shaken_s : (3,) faster than 0.3 rad/s, and by more than 1 m/s^2 [s]
     """
 
+    remembered = 20_000
+
     def __init__(self, use: Use, stated: Units | None = None) -> None:
         super().__init__(use, stated)
         self.turned_s, self.shaken_s = np.zeros(3), np.zeros(3)
         self._counted_ns = 0
-
-    def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
-        """Take the next samples, and forget old ones."""
-        for rows in self._triads.values():
-            rows.keep_last(_REMEMBERED)
-        super().add_samples(blocks, named)
 
     def _is_due(self, seconds: float, still_s: float) -> bool:
         return True
@@ -209,6 +204,10 @@ class RigSession(CameraSession):
     def empty(self) -> bool:
         """Whether images or samples are missing."""
         return super().empty or self.samples.empty
+
+    def take_arrivals(self) -> None:
+        """Hand the samples that arrived to the coach and to the page; images wait until they are looked at."""
+        self.samples.take_arrivals()
 
     def look_at_arrivals(self) -> BoardState:
         """Look at what arrived, and return what there is to say."""

@@ -12,12 +12,14 @@ import webbrowser
 from collections.abc import AsyncIterator
 from contextlib import suppress
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TextIO
 
 from ..errors import RecordingError
 from ..local_server import LocalServer
 from .camera_session import CameraSession
+from .certificate import own_identity
 from .session import LiveSession
 from .sources import INSTALL, PushSource
 
@@ -39,6 +41,7 @@ class LivePage(LocalServer):
     session : what is shown
     port : 0 is any that is free
     lan : whether other devices may see it
+    tls : whether it is served under a certificate of its own making
 
     Raises
     ------
@@ -46,7 +49,7 @@ class LivePage(LocalServer):
         If what it needs is not installed, or the port is taken.
     """
 
-    def __init__(self, session: Session, *, port: int = 0, lan: bool = False) -> None:
+    def __init__(self, session: Session, *, port: int = 0, lan: bool = False, tls: bool = False) -> None:
         self.session = session
         self._clients, self._result, self._fetched = 0, "", threading.Event()
         self._report: Path | None = None
@@ -54,6 +57,7 @@ class LivePage(LocalServer):
             [
                 *((path, "GET", self._file) for path in ("/", "/live.css", "/live.js", f"/{session.page}.js")),
                 ("/picture", "GET", self._picture),
+                ("/code.svg", "GET", self._code),
                 ("/events", "GET", self._events),
                 ("/report", "GET", self._show_report),
                 ("/stop", "POST", self._stop),
@@ -63,7 +67,10 @@ class LivePage(LocalServer):
             install=f"{INSTALL}, or use --no-browser.",
             port=port,
             lan=lan,
+            identify=own_identity if tls else None,
         )
+        self._wanted = self.push_address if isinstance(session.source, PushSource) else self.address
+        self._for_phone = self._wanted if lan else ""
 
     @property
     def address(self) -> str:
@@ -80,8 +87,7 @@ class LivePage(LocalServer):
         with suppress(ImportError):  # the address is printed as well
             import segno
 
-            pushed = isinstance(self.session.source, PushSource)
-            segno.make(self.push_address if pushed else self.address, error="l").terminal(out, compact=True)
+            segno.make(self._wanted, error="l").terminal(out, compact=True)
 
     def open_in_browser(self) -> None:
         """Show the page."""
@@ -109,6 +115,18 @@ class LivePage(LocalServer):
         content = self.session.picture() if isinstance(self.session, CameraSession) else b""
         return self.answer(content, "image/jpeg") if content else self.say("There is no picture.", 404)
 
+    async def _code(self, _request: Any) -> Any:
+        """Answer with the QR code of what a phone needs."""
+        if not self._for_phone:
+            return self.say("No other device sees this page: begin with --lan.", 404)
+        try:
+            import segno
+        except ImportError:
+            return self.say(INSTALL, 404)
+        content = BytesIO()
+        segno.make(self._for_phone, error="l").save(content, kind="svg", scale=5, light="white")
+        return self.answer(content.getvalue(), "image/svg+xml")
+
     async def _events(self, _request: Any) -> Any:
         from starlette.responses import StreamingResponse
 
@@ -125,7 +143,12 @@ class LivePage(LocalServer):
                 now = time.monotonic()
                 if now - told >= _STATE_S or self._result:
                     told = now
-                    document = {**self.session.document(), "result": self._result, "stopped": self.stopped}
+                    document = {
+                        **self.session.document(),
+                        "result": self._result,
+                        "stopped": self.stopped,
+                        "phone": self._for_phone,
+                    }
                     yield f"event: state\ndata: {json.dumps(document)}\n\n"
                     if self._result:
                         return

@@ -18,12 +18,12 @@ from .faults import Fault
 from .recorder import Recorder, is_printable
 from .sources import LiveSource, SimulatedSource
 
-LOOK_S = 0.5
+LOOK_S, TICK_S = 0.5, 0.1
 _SILENT_S = 1.5
 _HEAD_LINES = 40
 _LONGEST_HEAD = 400
 _DAMAGED, _LOOKS = 0.2, 6
-_TRACE = 600
+_TRACE, _TRACE_S = 600, 0.02
 
 
 class LiveSession:
@@ -115,7 +115,7 @@ class LiveSession:
 
     def look_at_arrivals(self) -> CoachState:
         """Take what arrived since the last look, and return what there is to say."""
-        self._take_pending()
+        self.take_arrivals()
         self.recorder.sync_files()
         self._counts.append((self.recorder.written, self.recorder.damaged))
         state = self.coach.look_at_samples()
@@ -123,8 +123,8 @@ class LiveSession:
             self.source.hand.target = state.prospect.target
         return state
 
-    def _take_pending(self) -> None:
-        """Hand the samples in the lines that arrived to the coach."""
+    def take_arrivals(self) -> None:
+        """Hand the samples in the lines that arrived to the coach and to the page."""
         with self._lock:
             pending, self._pending = self._pending, {}
         for stream, lines in pending.items():
@@ -160,9 +160,10 @@ class LiveSession:
         a, g = (blocks.get(name) for name in (self.coach.leading, "gyroscope"))
         if a is None or not len(a):
             return
-        for k in range(0, len(a), max(1, len(a) // 12)):
-            rate = g.values[min(k, len(g) - 1)] if g is not None and len(g) else np.zeros(3)
-            self.trace.append([round(float(x), 4) for x in (1e-9 * a.t_ns[k], *a.values[k], *rate)])
+        for k, t_s in enumerate((1e-9 * a.t_ns).tolist()):
+            if not self.trace or abs(t_s - self.trace[-1][0]) >= _TRACE_S:
+                rate = g.values[min(k, len(g) - 1)] if g is not None and len(g) else np.zeros(3)
+                self.trace.append([round(float(x), 4) for x in (t_s, *a.values[k], *rate)])
 
     def troubles(self) -> list[Fault]:
         """Return why nothing can be said, and what is wrong with the source, most important first."""

@@ -16,6 +16,7 @@ from urllib.parse import quote
 from urllib.request import urlopen
 
 from ..errors import OptionError, RecordingError
+from ..readers.files import first_bytes
 from ..recording import ImuSamples, TriadSamples
 from ..units import Units
 from .hand import SimulatedHand
@@ -25,6 +26,11 @@ _BAUD = 115_200
 _PIECE = 4096
 _WAIT_S = 0.05
 _AGAIN_S = 0.5
+_HEAD, _LATE_S = 8, 2.0
+_CHUNKS = (
+    "The file grows by pieces of {:.0f} s, and the advice is as late: record it without chunks (ros2 bag record "
+    "--storage-preset-profile fastwrite) or with small ones (rosbag record --chunksize=16)."
+)
 _FORMS = "serial:PORT[@BAUD], tail:FILE, udp:PORT, phyphox:HOST, http, replay:RECORDING[@SPEED] or simulate[:SEED]"
 
 
@@ -197,7 +203,7 @@ def _ports_found() -> str:
 
 
 class TailSource(LiveSource):
-    """A text file that another program writes.
+    """A text file, an MCAP file or a ROS 1 bag that another program writes.
 
     Parameters
     ----------
@@ -209,13 +215,21 @@ class TailSource(LiveSource):
         self.path = path
 
     def arriving_lines(self, stop: Event) -> Iterator[Arrival]:
-        """Yield the lines that are there, and those that are added."""
-        while not stop.is_set() and not self.path.is_file():
-            self.trouble = f"{self.path} is not there yet."
+        """Yield the lines that are there, and those that are added; of a bag a line for each sample of its IMU."""
+        from .bag_tail import bag_lines, is_bag  # imports this one
+
+        while not stop.is_set() and not (self.path.is_file() and self.path.stat().st_size >= _HEAD):
+            if self.path.is_dir():
+                raise RecordingError(f"{self.path} is a folder: name the file in it that grows.")
+            self.trouble = f"{self.path} is not there yet, or empty."
             stop.wait(_AGAIN_S)
         if stop.is_set():
             return
         self.trouble = ""
+        if is_bag(first_bytes(self.path, _HEAD)):
+            yield from self._followed(bag_lines, stop)
+            self.trouble, self.ended = f"{self.path.name} is complete: stop.", True
+            return
         splitter = _Splitter()
         with self.path.open("rb") as file:
             while not stop.is_set():
@@ -224,6 +238,27 @@ class TailSource(LiveSource):
                     yield Arrival(line)
                 if not piece:
                     stop.wait(_WAIT_S)
+
+    def _followed(
+        self, lines: Callable[[Path, Callable[[], bool]], Iterator[Arrival]], stop: Event
+    ) -> Iterator[Arrival]:
+        """Yield what arrives in a bag, and say where seconds of it come at once."""
+        came: list[int] = []
+        pieces = 0
+
+        def wait() -> bool:
+            nonlocal pieces
+            if came:
+                late_s = 1e-9 * (came[-1] - came[0]) * (pieces > 0)  # at first comes what was there before
+                self.trouble = _CHUNKS.format(late_s) if late_s > _LATE_S else ""
+                pieces += 1
+                came.clear()
+            return not stop.wait(_WAIT_S)
+
+        for arrival in lines(self.path, wait):
+            if arrival.line[:1].isdigit():
+                came[1:] = [int(arrival.line.partition(b",")[0])]
+            yield arrival
 
 
 class UdpSource(LiveSource):

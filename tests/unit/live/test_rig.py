@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.live.coach import Coach
 from gnomon.live.faults import Fault
 from gnomon.live.hand import imu_sentence
-from gnomon.live.image_sources import ImageArrival, ImageSource, open_rig_sources
+from gnomon.live.image_sources import CameraSource, ImageArrival, ImageSource, open_rig_sources
+from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
-from gnomon.live.sources import LiveSource
+from gnomon.live.sources import LiveSource, PushSource
 from gnomon.live.trials import Trial, TrialOutcome, check_setup
 from gnomon.options.requirements import GENERAL_RIG
 from gnomon.readers.images.image_recording import open_images
@@ -63,15 +65,17 @@ def test_what_is_turned_and_shaken_is_counted_for_each_axis(unit):
     assert not coach.shaken_s[:2].any()
 
 
-def test_a_day_of_samples_needs_no_more_memory_than_minutes():
-    coach = MotionCoach(GENERAL_RIG)
-    block = {
-        name: TriadSamples(t_ns=np.arange(60_000) * STEP_NS, values=np.ones((60_000, 3)), unit=unit)
-        for name, unit in (("accelerometer", "m/s^2"), ("gyroscope", "rad/s"))
-    }
-    for _ in range(20):
-        coach.add_samples(block, {})
-    assert all(len(rows._t_ns) <= 2**18 for rows in coach._triads.values())
+@pytest.mark.parametrize(("kind", "most"), [(MotionCoach, 2**18), (NoiseCoach, 2**18), (Coach, 2**21)])
+def test_a_day_of_samples_needs_no_more_memory_than_minutes(kind, most):
+    coach, size, lasts_s = kind(GENERAL_RIG), 60_000, 24 * 3600
+    values = np.random.default_rng(0).normal((0.0, 0.0, 9.8), size=(size, 3))
+    units = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+    for first in range(0, 50 * lasts_s, size):  # 50 samples a second
+        t_ns = (first + np.arange(size)) * 20_000_000
+        coach.add_samples({name: TriadSamples(t_ns=t_ns, values=values, unit=unit) for name, unit in units.items()}, {})
+    assert all(len(rows._t_ns) <= most for rows in coach._triads.values())
+    if kind is NoiseCoach:
+        assert coach.look_at_samples().seconds == pytest.approx(lasts_s, rel=0.01), "of all of it"
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +187,12 @@ def test_streams_of_one_recording_keep_their_places_in_time(tmp_path, monkeypatc
     images, samples = open_rig_sources(["simulate:1"])
     assert images._pace is samples._pace
     assert images.target is not None
+
+
+def test_which_of_two_sources_has_the_images_is_told_by_their_kinds():
+    images, samples = open_rig_sources(["http", "camera:0"])
+    assert isinstance(images, CameraSource)
+    assert isinstance(samples, PushSource)
 
 
 @pytest.mark.parametrize("texts", [["camera:0"], ["simulate", "simulate", "simulate"], ["serial:/dev/ttyUSB0"]])

@@ -1,7 +1,9 @@
 """The page: who may see it, and what it does with those who may not."""
 
+import hashlib
 import http.client
 import json
+import ssl
 import time
 from io import StringIO
 
@@ -85,6 +87,44 @@ def test_pushes_are_taken_and_bounded(page):
 def test_stop_from_the_page_ends_the_recording(page):
     assert answer(page, "/stop", "POST", Origin=f"http://127.0.0.1:{page.port}")[0] == 200
     assert page.session.stopped.is_set()
+
+
+def test_a_phone_is_shown_the_way_where_it_may_come(page, tmp_path):
+    assert answer(page, "/code.svg")[0] == 404, "without --lan"
+    session = LiveSession(PushSource(), tmp_path / "lan", USES["ahrs"])
+    seen = LivePage(session, lan=True)
+    seen.begin_serving()
+    status, text, headers = answer(seen, "/code.svg")
+    assert status == 200
+    assert b"<svg" in text
+    assert headers["content-type"] == "image/svg+xml"
+    assert answer(seen, "/code.svg", token=False)[0] == 403
+    assert seen._for_phone == seen.push_address
+    seen.show_result(tmp_path / "none.html")
+    session.end_recording()
+
+
+def test_over_tls_the_certificate_is_of_this_address_and_its_fingerprint_told(tmp_path):
+    pytest.importorskip("cryptography")
+    session = LiveSession(PushSource(), tmp_path / "tls", USES["ahrs"])
+    page = LivePage(session, tls=True)
+    page.begin_serving()
+    shown = ssl.get_server_certificate(("127.0.0.1", page.port))
+    digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(shown)).hexdigest().upper()
+    assert page.fingerprint.replace(":", "") == digest
+    trusting = ssl.create_default_context(cadata=shown)
+    connection = http.client.HTTPSConnection("127.0.0.1", page.port, timeout=5, context=trusting)
+    connection.request("GET", f"/?token={page.token}", headers={"Origin": f"https://127.0.0.1:{page.port}"})
+    found = connection.getresponse()
+    assert found.status == 200
+    assert "Secure" in found.headers["set-cookie"]
+    connection.close()
+    connection.request("GET", f"/?token={page.token}", headers={"Origin": f"http://127.0.0.1:{page.port}"})
+    assert connection.getresponse().status == 403
+    connection.close()
+    assert page.address.startswith("https://")
+    page.show_result(tmp_path / "none.html")
+    session.end_recording()
 
 
 def test_events_tell_the_state(page):

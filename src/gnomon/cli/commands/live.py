@@ -1,6 +1,7 @@
 """The command that records a sensor and says, meanwhile, what to do with it."""
 
 import sys
+import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +71,9 @@ class Live(Command):
     """Show no page; the status line in the terminal says the same."""
     lan: bool = False
     """Let other devices in the network see the page, by the address with its token."""
+    tls: bool = False
+    """Serve the page under a certificate that is made for it, so that nobody in the network reads along; a browser
+    warns of it once, and apps on phones refuse it."""
     port: int = 0
     """Of the page; any that is free where it is 0."""
     until_enough: bool = False
@@ -192,9 +196,11 @@ class Live(Command):
             return None
         from ...live.server import LivePage
 
-        page = LivePage(session, port=self.port, lan=self.lan)
+        page = LivePage(session, port=self.port, lan=self.lan, tls=self.tls)
         page.begin_serving()
         terminal.print(f"page         {page.address}")
+        if page.fingerprint:
+            terminal.print(f"certificate  SHA-256 {page.fingerprint}")
         if self.lan and sys.stderr.isatty():
             page.draw_address(sys.stderr)
         if isinstance(session.source, PushSource):
@@ -205,10 +211,14 @@ class Live(Command):
 
     def _guide(self, session: "Session", terminal: Terminal) -> None:
         """Look at what arrives, and say what to do, until it is stopped."""
-        from ...live.session import LOOK_S
+        from ...live.session import LOOK_S, TICK_S
 
-        told = ""
-        while not session.stopped.wait(LOOK_S):
+        told, looked_s = "", 0.0
+        while not session.stopped.wait(TICK_S):
+            session.take_arrivals()
+            if time.monotonic() - looked_s < LOOK_S:
+                continue
+            looked_s = time.monotonic()
             state = session.look_at_arrivals()
             faults = [*session.troubles(), *state.faults]
             wrong = f" ! {faults[0].text}" if faults else ""

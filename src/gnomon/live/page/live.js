@@ -21,8 +21,17 @@ function speak(text) {
   speechSynthesis.speak(Object.assign(new SpeechSynthesisUtterance(text), { lang: "en" }));
 }
 
+// where another device in the network goes, as a code for its camera
+function showPhone(address) {
+  if (!address || !$("phone").hidden) return;
+  $("phone").hidden = false;
+  $("address").textContent = address;
+  $("code").src = "code.svg";
+}
+
 // what is said, and how it ended; the words on the numbers come from the page
 function showCommon(next, numbers) {
+  showPhone(next.phone);
   const advice = next.stopped ? "Calibrating." : next.advice;
   if (advice.replace(/\d+/g, "") !== shown.replace(/\d+/g, "")) { // not each second aloud
     $("advice").textContent = advice;
@@ -63,5 +72,8 @@ function follow(show) {
     await fetch("stop", { method: "POST" });
   });
   history.replaceState(null, "", location.pathname); // the token is in a cookie now
+  const stayAwake = () => navigator.wakeLock?.request("screen").catch(() => {}); // where it may: here, or over TLS
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) stayAwake(); });
+  stayAwake();
   return events;
 }

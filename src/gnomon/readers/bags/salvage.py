@@ -6,8 +6,9 @@ them in compressed chunks; the messages of an SQLite file lie in the order in wh
 
 import sqlite3
 import struct
+import sys
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -35,6 +36,10 @@ class Channel:
     topic: str
     kind: str
     wire: Wire | None
+
+
+Wanted = Callable[[Channel], bool]
+"""Whether the bytes of a channel's messages are wanted."""
 
 
 class Record(NamedTuple):
@@ -127,16 +132,63 @@ def read_records(path: Path, wanted: Collection[str] | None, outcome: Outcome) -
         file.seek(start)
         source = _Bytes(file, outcome.size - start)
         try:
-            yield from walk(path.name, keep, outcome).records(source)
+            yield from walk(path.name, lambda channel: channel.topic in keep, outcome).records(source)
         except _EndError:
             outcome.complete = False
         outcome.read = outcome.size - source.left
 
 
+def follow_records(path: Path, kind: str, wait: Callable[[], bool]) -> Iterator[Record]:
+    """Yield the messages of a file that another program writes meanwhile, those of one type with their bytes.
+
+    Parameters
+    ----------
+    path : a ROS 1 bag or an MCAP file
+    kind : of the messages, such as sensor_msgs/Imu
+    wait : waits for more, and returns whether to go on
+
+    Raises
+    ------
+    RecordingError
+        If a chunk is compressed in an unknown way, or nobody else may read the file meanwhile.
+    """
+    with path.open("rb") as file, suppress(_EndError):
+        source = _GrowingBytes(file, wait)
+        head = source.take(len(MCAP_MAGIC))
+        if SQLITE_MAGIC.startswith(head):
+            raise RecordingError(
+                f"{path}: a bag in SQLite is locked while it is read, which could stop its recorder. Record it as MCAP "
+                "(ros2 bag record --storage mcap), or calibrate it when it is complete."
+            )
+        if head != MCAP_MAGIC:
+            source.take(len(ROS1_MAGIC) - len(head))
+        walk = _McapWalk if head == MCAP_MAGIC else _Ros1Walk
+        yield from walk(path.name, lambda channel: channel.kind == kind, Outcome()).records(source)
+
+
+class _GrowingBytes(_Bytes):
+    """A file that another program writes."""
+
+    def __init__(self, file: BinaryIO, wait: Callable[[], bool]) -> None:
+        super().__init__(file, sys.maxsize)
+        self.wait = wait
+
+    def take(self, count: int) -> bytes:
+        data = self.file.read(count)
+        while len(data) < count:
+            if not self.wait():
+                raise _EndError
+            data += self.file.read(count - len(data))
+        return data
+
+    def skip(self, count: int) -> None:
+        self.file.seek(count, 1)
+
+
 class _Ros1Walk:
     """The records of a ROS 1 bag."""
 
-    def __init__(self, where: str, wanted: frozenset[str], outcome: Outcome) -> None:
+    def __init__(self, where: str, wanted: Wanted, outcome: Outcome) -> None:
         self.where, self.wanted, self.outcome = where, wanted, outcome
         self.channels: dict[int, Channel] = {}
 
@@ -200,7 +252,7 @@ def _ros1_number(fields: dict[str, bytes], name: str) -> int:
 class _McapWalk:
     """The records of an MCAP file."""
 
-    def __init__(self, where: str, wanted: frozenset[str], outcome: Outcome) -> None:
+    def __init__(self, where: str, wanted: Wanted, outcome: Outcome) -> None:
         self.where, self.wanted, self.outcome = where, wanted, outcome
         self.kinds: dict[int, str] = {}
         self.channels: dict[int, Channel] = {}
@@ -243,12 +295,10 @@ class _McapWalk:
         source.skip(held - stated)
 
 
-def _record(
-    source: _Bytes, length: int, channel: Channel | None, received_ns: int, wanted: frozenset[str]
-) -> Iterator[Record]:
+def _record(source: _Bytes, length: int, channel: Channel | None, received_ns: int, wanted: Wanted) -> Iterator[Record]:
     if length < 0:
         raise _EndError
-    if channel is None or channel.topic not in wanted:
+    if channel is None or not wanted(channel):
         source.skip(length)
         data = b""
     else:
