@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import bag_maker
+import field_devices
 import field_logs
 from field_logs import COUNT, STEP_S, clock, lines, numbers
 from gnomon import read
@@ -233,10 +234,13 @@ def mat_struct(path):  # a struct with a rate, arrays lying
 WITHOUT_OPTIONS = [
     arduino_monitor, over_midnight, monitor_and_millis, name_value, serial_plotter, micros_wraps, esp_idf, json_lines,
     witmotion, st_mems_studio, x_io, xsens_mt_manager, european, ros_echo, realsense, betaflight, ulog, dataflash,
-    dataflash_text, mat, mat_struct,
+    dataflash_text, mat, mat_struct, *field_devices.WITHOUT_OPTIONS,
 ]  # fmt: skip
-WITH_A_RATE = [rowberg, playground, adafruit_mpu6050, adafruit_lsm6ds, sparkfun_icm20948, vectornav, razor]
-WITH_COLUMNS = [fourteen_columns, gyroscope_first, tx_ty_tz]
+WITH_A_RATE = [
+    rowberg, playground, adafruit_mpu6050, adafruit_lsm6ds, sparkfun_icm20948, vectornav, razor,
+    *field_devices.WITH_A_RATE,
+]  # fmt: skip
+WITH_COLUMNS = [fourteen_columns, gyroscope_first, tx_ty_tz, *field_devices.WITH_COLUMNS]
 
 
 def _check(recording, turned=False):
@@ -256,7 +260,8 @@ def _check(recording, turned=False):
 
 @pytest.mark.parametrize("write", WITHOUT_OPTIONS, ids=lambda write: write.__name__)
 def test_read_without_options(write, tmp_path) -> None:
-    _check(read(write(tmp_path / "log.txt")))
+    paths = write(tmp_path / "log.txt")
+    _check(read(*paths) if isinstance(paths, list) else read(paths))
 
 
 @pytest.mark.parametrize("write", WITH_A_RATE, ids=lambda write: write.__name__)
@@ -308,7 +313,11 @@ def test_counts_at_rest_tell_the_accelerometer(tmp_path) -> None:
     assert abs(float(np.linalg.norm(imu.accelerometer.values.mean(axis=0))) - 8130) < 20
 
 
-@pytest.mark.parametrize("write", [adafruit_mpu6050, over_midnight, witmotion, micros_wraps, rowberg, mat])
+BY_BLOCKS = [adafruit_mpu6050, over_midnight, witmotion, micros_wraps, rowberg, mat]
+BY_BLOCKS += [field_devices.ros2_echo, field_devices.movella_dot, field_devices.micropython, field_devices.gnss_logger]
+
+
+@pytest.mark.parametrize("write", BY_BLOCKS, ids=lambda write: write.__name__)
 def test_block_by_block_is_the_same(write, tmp_path) -> None:
     path = write(tmp_path / "log.txt")
     rate = 1 / STEP_S if write in WITH_A_RATE else None

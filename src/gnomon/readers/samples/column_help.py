@@ -51,9 +51,8 @@ def time_help(layout: TextLayout, words: Sequence[str]) -> str:
     layout : of the table
     words : of --columns for what is known, "_" for the others
     """
-    for i in range(layout.columns):
-        if words[i] != "_" or not column_rises(layout, i):
-            continue
+    rising = [i for i in range(layout.columns) if words[i] == "_" and column_rises(layout, i)]
+    for i in sorted(rising, key=lambda i: column_counts(layout, i)):
         name = f"Column {i + 1} ({layout.header[i][:40]})" if layout.header else f"Column {i + 1}"
         if column_counts(layout, i):
             return f" {name} goes up by one from row to row: it numbers the rows, or holds milliseconds at 1000 Hz."
@@ -74,7 +73,7 @@ def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) ->
     """Return a word for each column: a time that rises, three that read gravity, three beside them; None without."""
     words = ["_"] * layout.columns
     rising = [i for i in range(layout.columns) if column_rises(layout, i) and len(np.unique(values[:, i])) > 2]
-    time = next((i for i in rising if not column_counts(layout, i)), next(iter(rising), None))
+    time = next((i for i in rising if not column_counts(layout, i)), None)  # what counts the rows tells no time
     if time is not None:
         words[time] = "t"
     free = [np.isfinite(column).all() and np.ptp(column) > 0 and i not in rising for i, column in enumerate(values.T)]
@@ -90,7 +89,7 @@ def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) ->
     named = [i for i in places if all(name == "gyroscope" for name in known[i : i + 3])]
     beside = [i for i in (first + 3, first + 4, first - 3, first - 4) if i in places]  # a thermometer may lie between
     beside.sort(key=lambda i: float(np.abs(np.median(values[:, i : i + 3], axis=0)).max()))  # rates at rest are small
-    second = next((i for i in (*named, *beside) if i in places and abs(i - first) >= 3), None)
+    second = next((i for i in (*named, *beside, *places) if i in places and abs(i - first) >= 3), None)
     if second is not None:
         words[second : second + 3] = "gx", "gy", "gz"
     return words

@@ -1,6 +1,7 @@
 """What the name of a column says: which quantity, which axis, which unit."""
 
 import re
+from dataclasses import replace
 from typing import Literal
 
 from ...errors import OptionError, RecordingError
@@ -16,12 +17,14 @@ def _words(text: str) -> frozenset[str]:
 
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-_ACCELEROMETER = _words("a ac acc acce accl accel accelero accelerometer acceleration linacc alpha f sf specific force")
-_GYROSCOPE = _words("g gy gyr gyro gyroscope w omega angular angvel rate rot rotation")
+_ACCELEROMETER = _words(
+    "a ac acc accm acce accl accel accelero accelerometer acceleration linacc alpha f sf specific force"
+)
+_GYROSCOPE = _words("g gy gyr gyrm gyro gyroscope w omega angular angvel rate rot rotation")
 _MAGNETOMETER = _words("m mag magn magnet magnetic magneto magnetometer compass")
 _TIME = _words(
     "t ts time times timestamp timestamps stamp stamps epoch epoc elapsed sec secs seconds nsec nsecs nanosec "
-    "millis micros"
+    "millis micros ticks tow cts"
 )
 _SENSORS: dict[Quantity, frozenset[str]] = {
     "accelerometer": _ACCELEROMETER,
@@ -29,7 +32,8 @@ _SENSORS: dict[Quantity, frozenset[str]] = {
     "magnetometer": _MAGNETOMETER,
 }
 # Columns of these are something else, even if the name of a sensor is in them too.
-_OTHER = _words("covariance cov std stddev var variance bias offset orientation quaternion quat gravity user")
+_OTHER = _words("covariance cov std stddev var variance bias offset orientation quaternion quat gravity user angle")
+_EMPTY = _words("axis value")
 _TEMPERATURE = _words("temperature temp tmp")
 
 _COUNT = dict.fromkeys(_words("count counts lsb raw adc digit digits bit bits"), "count")
@@ -41,13 +45,13 @@ _UNITS: dict[str, dict[str, str]] = {
         **_COUNT,
     },
     "gyroscope": {
-        **dict.fromkeys(_words("rads rads1 radps rad radsec radianspersecond radianss"), "rad/s"),
+        **dict.fromkeys(_words("rads rads1 radps rad radsec radpersec radianspersecond radianss"), "rad/s"),
         **dict.fromkeys(_words("degs degs1 dps degps deg degsec degreespersecond degreess"), "deg/s"),
         **dict.fromkeys(_words("mdegs mdps mdegs1 millidps"), "mdeg/s"),
         **_COUNT,
     },
     "magnetometer": {
-        **dict.fromkeys(_words("ut utesla microtesla microteslas"), "uT"),
+        **dict.fromkeys(_words("ut microt utesla microtesla microteslas"), "uT"),
         **dict.fromkeys(_words("nt ntesla nanotesla nanoteslas"), "nT"),
         **dict.fromkeys(_words("t tesla teslas"), "T"),
         **dict.fromkeys(_words("g ga gs gauss"), "gauss"),
@@ -120,12 +124,12 @@ def column_name(text: str) -> ColumnName:
     >>> column_name("timestamp_us")
     ColumnName(quantity='time', axis=None, unit='us')
     """
-    text = text[:_LONGEST]
+    text = re.sub(r"[\[(]([xyzXYZ])[\])]", r" \1 ", text[:_LONGEST]).replace("ang_vel", "angvel")
     bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
     inside = bracket.group(1).strip() if bracket else ""
     bare = text[: bracket.start()] + " " + text[bracket.end() :] if bracket else text
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-zµμ]+|\d+", bare)]
-    words = [word for word in words if word != "axis"]
+    words = [word for word in words if word not in _EMPTY]
     if not words or _OTHER.intersection(words):
         return OTHER
     warmth = _temperature(words, inside)
@@ -180,7 +184,8 @@ def _triad_column(axis: int, names: list[str], behind: list[str], inside: str) -
     if not sensors:
         return OTHER if names else _bare_axis(axis, inside)
     (quantity,) = sensors
-    unit = unit_of(inside, quantity) or unit_of("".join(behind), quantity)
+    within = unit_of("".join(names[1:]), quantity)  # "Gyro_DPS_X"; raw there may mean not filtered
+    unit = unit_of(inside, quantity) or unit_of("".join(behind), quantity) or (None if within == "count" else within)
     return ColumnName(quantity=quantity, axis=axis, unit=unit)
 
 
@@ -194,6 +199,13 @@ def _bare_axis(axis: int, inside: str) -> ColumnName:
 
 def _time_word(words: list[str]) -> str | None:
     return next((unit for word in words if len(word) > 1 and (unit := unit_of(word, "time"))), None)
+
+
+_ROS_2_IMU = (  # of `ros2 topic echo --csv` of a sensor_msgs/Imu
+    *("sec", "nanosec", "frame_id", *(f"orientation_{i}" for i in "xyzw"), *["covariance"] * 9),
+    *("angular_velocity_x", "angular_velocity_y", "angular_velocity_z", *["covariance"] * 9),
+    *("linear_acceleration_x", "linear_acceleration_y", "linear_acceleration_z", *["covariance"] * 9),
+)
 
 
 @value_class(eq=True)
@@ -241,6 +253,8 @@ def column_roles(layout: TextLayout, stated: str | None, where: str) -> Roles:
     """
     if stated is not None:
         return _stated(layout, stated, where)
+    if not layout.header and layout.columns == len(_ROS_2_IMU) and not is_number(layout.sample[0][2]):
+        layout = replace(layout, header=_ROS_2_IMU)
     if layout.header:
         names = [column_name(text) for text in layout.header]
         if any(name.quantity not in {"time", "temperature", "other"} for name in names):
@@ -275,7 +289,7 @@ def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str)
     quantities = [name.quantity for name in names]
     for quantity in ("accelerometer", "gyroscope", "unnamed", "magnetometer"):
         axes = {axis: [i for i, n in enumerate(names) if (n.quantity, n.axis) == (quantity, axis)] for axis in range(3)}
-        axes = {axis: _with_gravity(columns, layout.header) for axis, columns in axes.items()}
+        axes = {axis: _measured(columns, layout.header) for axis, columns in axes.items()}
         found = sum(len(columns) for columns in axes.values())
         if not found:
             continue
@@ -306,15 +320,18 @@ def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str)
     )
 
 
-def _with_gravity(columns: list[int], header: tuple[str, ...]) -> list[int]:
-    """Return, of several columns for one axis, those that are not said to be without gravity, as apps on phones do.
+def _measured(columns: list[int], header: tuple[str, ...]) -> list[int]:
+    """Return, of several columns for one axis, those that the sensor itself measured, in a unit rather than in counts.
 
-    AndroSensor has LINEAR ACCELERATION beside ACCELEROMETER, Physics Toolbox ax (linear) beside gFx (in g).
+    AndroSensor has LINEAR ACCELERATION (without gravity) beside ACCELEROMETER, Physics Toolbox ax (linear) beside gFx
+    (in g), SensorLog of iOS motionRotationRate (filtered) beside gyroRotation, Bosch's examples Acc_Raw beside Acc_ms2.
     """
     if len(columns) < 2 or not header:
         return columns
     in_g = [i for i in columns if header[i].startswith("gF")]
-    return in_g or [i for i in columns if "linear" not in header[i].lower()] or columns
+    kept = in_g or [i for i in columns if not re.search("linear|motion", header[i], re.IGNORECASE)] or columns
+    in_units = [i for i in kept if column_name(header[i]).unit not in {None, "count"}]
+    return in_units if len(kept) > 1 and in_units else kept
 
 
 def time_columns(names: list[ColumnName], layout: TextLayout) -> tuple[tuple[int, str | None], ...]:
@@ -332,7 +349,9 @@ def time_columns(names: list[ColumnName], layout: TextLayout) -> tuple[tuple[int
     nanoseconds = [i for i, text in zip(found, texts, strict=True) if text.rstrip("s").endswith(("nsec", "nanosec"))]
     if len(seconds) == len(nanoseconds) == 1:
         return ((seconds[0], "s"), (nanoseconds[0], "ns"))
-    best = next((i for i, text in zip(found, texts, strict=True) if "header" in text and "stamp" in text), found[0])
+    rise = [i for i in found if column_rises(layout, i)]  # "GPS TFlags" is no time
+    rising = min(rise or found, key=lambda i: names[i].unit == "ms" and any(names[j].unit == "ns" for j in rise))
+    best = next((i for i, text in zip(found, texts, strict=True) if "header" in text and "stamp" in text), rising)
     return ((best, names[best].unit),)
 
 

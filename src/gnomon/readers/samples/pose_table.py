@@ -24,7 +24,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS
 from ..files import TextFile
 from .column_names import column_name, unit_of
 from .printed_lines import lines_as_table
-from .table import RATE_HELP, TIME_HELP, preamble_rate
+from .table import RATE_HELP, preamble_rate
 from .text_table import Column, TextLayout, numbered_rows, parse_columns, sniff_layout
 
 POSE_HELP = (
@@ -110,8 +110,7 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     names = columns.replace(",", " ").split() if columns is not None else list(layout.header)
     if not names and layout.columns in (3, 6) and _is_short(layout, file) and preamble_rate(layout.preamble) is None:
         raise RecordingError(
-            f"{file.name}: no column holds the time, and nothing tells the sample rate. "
-            f"{RATE_HELP}{TIME_HELP} {POSE_HELP}"
+            f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP} {POSE_HELP}"
         )
     if len(names) != layout.columns or any(column_name(name).quantity == "magnetometer" for name in names):
         return None

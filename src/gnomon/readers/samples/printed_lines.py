@@ -1,9 +1,9 @@
 """Logs as programs print them for people, made plain tables: labelled values, clocks in front, checksums behind.
 
-Understood are lines such as `ax=0.1 ay=...`, `AcX = 12 | AcY = ...`, `a/g:<tab>12<tab>...`, `Accel X: 0.1, Y: ...` with
-the gyroscope on the next line, JSON objects, `$VNIMU,...*6F`, and the clock that a serial monitor puts before each line
-(`12:34:56.789 -> `) or a logger writes into a column (`2026-11-23 12:34:56.789`). Each line stays a line, so that
-messages name the right one; what is no sample becomes an empty one.
+Understood are lines such as `ax=0.1 ay=...`, `AcX = 1 | AcY = ...`, `a/g:<tab>12<tab>...`, `Accel X: 0.1, Y: ...` with
+the gyroscope on the next line, JSON objects, `$VNIMU,...*6F`, what `ros2 topic echo` prints, and the clock that a
+serial monitor puts before each line (`12:34:56.789 -> `) or a logger writes into a column (`2026-11-23 12:34:56.789`).
+Each line stays a line, so that messages name the right one; what is no sample becomes an empty one.
 """
 
 import io
@@ -25,15 +25,20 @@ from .text_table import column_rises, sniff_layout
 PRINTED_HEAD_BYTES, _HEAD_LINES, _LONGEST_LINE = 65_536, 200, 2000
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|NaN|NAN|inf|INF))(?![\w.]*(?:\][ \t]*)?[:=])"
 _TOKEN = re.compile(rb"(?<![\w.^+/-])" + _NUMBER)
-_LABELLED = re.compile(rb"[A-Za-z\])\"'][ \t]*(?:[:=]|[\[(][ \t]*(?:[-+.\d]|$))")
+_LABELLED = re.compile(rb"^[\[(]|[A-Za-z\])\"'][ \t]*(?:[:=]|[\[(][ \t]*(?:[-+.\d]|$))")
 _OPENS_NUMBER = re.compile(r"[:=][\s\[({<\"']*$|[\[({<]\s*$")
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 _CLOCK = re.compile(
-    rb"\[?(?<![\w.:-])(?:(\d{4})[-/](\d\d?)[-/](\d\d?)[ T]\s*)?([012]?\d):([0-5]\d):([0-5]\d)(?:[.:](\d{1,9}))?"
+    rb"\[?(?<![\w.:-])(?:(?:(\d{4})[-/](\d\d?)[-/](\d\d?)|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4})[ T]\s*)?"
+    rb"([012]?\d):([0-5]\d):([0-5]\d)(?:[.:](\d{1,9}))?"
     rb"(?:Z|[+-]\d\d:?\d\d)?(?![\w:])\]?([ \t]*-?>[ \t]?)?"
 )
 _FRAME = re.compile(rb"\$([A-Z][A-Z0-9]*),([^*]*)\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})\s*$")
+_PARENT = re.compile(rb"\s*[A-Za-z_]\w*:\s*$")
+_VALUE = re.compile(rb"[A-Za-z_]\w*: *" + _NUMBER + rb"$")
+_CHILD = re.compile(rb"\s+[A-Za-z_]\w*:(\s|$)")
 _DAY_S = 86_400
+_AXES = frozenset("xyzXYZ")
 _USUAL = 0.3  # a kind of line that belongs to every sample is at least so frequent, relative to the most frequent one
 _IN_ORDER = 0.8
 ARRIVAL = "arrival time [s]"
@@ -41,10 +46,11 @@ ARRIVAL = "arrival time [s]"
 _MAGNETIC = ("mx [gauss]", "my [gauss]", "mz [gauss]")
 _INERTIAL = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]", "gx [rad/s]", "gy [rad/s]", "gz [rad/s]")
 _IN_UT = ("mx [uT]", "my [uT]", "mz [uT]")
-_FRAMES = {  # columns of sentences: of examples/devices, and of VectorNav (UM001, asynchronous outputs 14 and 19)
+_FRAMES = {  # of examples/devices, VectorNav (UM001, asynchronous outputs 14 and 19), MotionCal
     b"IMUSI": ("t [us]", *_INERTIAL, "temperature [degC]", *_IN_UT),
     b"VNYMR": ("yaw", "pitch", "roll", *_MAGNETIC, *_INERTIAL),
     b"VNIMU": (*_MAGNETIC, *_INERTIAL, "temperature", "pressure"),
+    b"Raw": tuple(f"{sensor}{axis} [count]" for sensor in "agm" for axis in "xyz"),
 }
 
 Gaps = tuple[bytes, ...]
@@ -61,6 +67,7 @@ class PrintedForm:
     header : names of the columns, or empty
     clock : whether the time of the line is a column of its own, the first one
     in_place : whether the clock stays where it is, in seconds
+    nested : whether a line belongs to a name above it, as in YAML
     delimiter : between columns
     """
 
@@ -68,6 +75,7 @@ class PrintedForm:
     header: tuple[str, ...]
     clock: bool
     in_place: bool = False
+    nested: bool = False
     delimiter: bytes = b","
 
 
@@ -84,6 +92,9 @@ def lines_as_table(file: TextFile) -> TextFile:
 def printed_form(data: bytes) -> PrintedForm | None:
     """Recognise by its first lines a log that is no plain table, (None) where it is one or nothing is understood."""
     head = data[:PRINTED_HEAD_BYTES].splitlines()[:_HEAD_LINES]
+    nested = any(_PARENT.match(a) and _CHILD.match(b) for a, b in pairwise(head))
+    if nested:
+        head = [*map(Nesting(), head)]
     if not any(_LABELLED.search(line) or _CLOCK.search(line) or line.startswith(b"$") for line in head):
         return None
     bare = [_without_clock(line)[1] for line in head if 0 < len(line) < _LONGEST_LINE]
@@ -93,7 +104,7 @@ def printed_form(data: bytes) -> PrintedForm | None:
         own = any(column_name(name).quantity == "time" for name in header)
         clock = timed and not own
         names = (ARRIVAL, *header) if clock and header else header
-        return PrintedForm(lines=groups, header=names, clock=clock)
+        return PrintedForm(lines=groups, header=names, clock=clock, nested=nested)
     return _clock_form(head) if timed else None
 
 
@@ -181,7 +192,8 @@ def _header(lines: tuple[Gaps, ...]) -> tuple[str, ...] | None:
     if not triads and not any(names[1:]):
         return ()
     if len(set(triads)) != len(triads):
-        return None
+        two = triads == 2 * triads[:3] and len(set(triads)) == 3 and len(triads) == len(columns)
+        return () if two and columns[0].quantity == "unnamed" else None
     return tuple(name or f"value {i + 1}" for i, name in enumerate(names))
 
 
@@ -213,6 +225,8 @@ def _unit_and_label(gap: str, *, first: bool) -> tuple[str, str]:
     if not _OPENS_NUMBER.search(label) and not first:
         return " ".join(parts[0].split()), ""
     words = label.rstrip(":= [({<\"'").split()
+    if len(words) == 1 and words[0] in _AXES and len(parts) > (1 if first else 2):  # "GYRO   X:", "Gyro:<tab>x="
+        words = [*parts[-2].rstrip(": ").split(), *words]
     unit = "" if first or len(parts) < 2 else parts[0].strip()
     if not first and len(parts) == 1 and len(words) > 1 and gap[:1] not in ",;|":
         unit, words = (words[0], words[1:]) if _is_unit(words[0]) else ("", words)
@@ -236,7 +250,10 @@ def _spread(labels: list[str]) -> list[str]:
             if bare.quantity == "unnamed" and sensor:
                 names[i] = f"{sensor} {label}"
             elif bare.quantity != "unnamed":
-                sensor = " ".join(words[:-1]) if words[-1].lower() in {"x", "y", "z"} else ""
+                sensor = " ".join(words[:-1]) if words[-1] in _AXES else ""
+            continue
+        if words and words[-1] in _AXES:  # "ANGLE X", "Y"
+            sensor = " ".join(words[:-1])
             continue
         count = next((k for k, other in enumerate(labels[i + 1 :], 1) if other), len(labels) - i)
         sensors = [name for name in re.split(r"[^A-Za-z]+", label) if column_name(f"{name} x").quantity in _TRIADS]
@@ -245,6 +262,22 @@ def _spread(labels: list[str]) -> list[str]:
         if sensors and count == 3 * len(sensors):
             names[i : i + count] = [f"{name} {axis}" for name in sensors for axis in "xyz"]
     return names
+
+
+class Nesting:
+    """Puts the names above a line in front of it, "angular_velocity:", "  x: 0.1" -> "angular_velocity.x: 0.1"."""
+
+    def __init__(self) -> None:
+        self._parents: list[tuple[int, bytes]] = []
+
+    def __call__(self, line: bytes) -> bytes:
+        """Return the next line with its names; an empty one where it holds no number with a name."""
+        text = line.strip()
+        indent = len(line) - len(line.lstrip())
+        self._parents = [(depth, name) for depth, name in self._parents if depth < indent]
+        if _PARENT.match(line):
+            self._parents.append((indent, text.rstrip(b":")))
+        return b".".join([*(name for _, name in self._parents), text]) if _VALUE.match(text) else b""
 
 
 def _pattern(gaps: Gaps) -> "re.Pattern[bytes]":
@@ -261,6 +294,7 @@ class LineRewriter:
     def __init__(self, form: PrintedForm) -> None:
         self.form = form
         self._patterns = [_pattern(gaps) for gaps in form.lines]
+        self._nesting = Nesting()
         self._row: list[bytes] = []
         self._stage = 0
         self._day_s, self._last_s = 0, 0
@@ -271,6 +305,7 @@ class LineRewriter:
         """Yield a line for each line: a row, an empty line, or with a clock alone the line with its seconds."""
         for line in lines:
             self._line += 1
+            line = self._nesting(line) if self.form.nested else line  # noqa: PLW2901
             yield self._sample(line.strip()) if self.form.lines else self._timed(line)
 
     def _sample(self, line: bytes) -> bytes:

@@ -17,6 +17,7 @@ _FACTORS_NS = {**TIME_UNITS_NS, "100us": 100_000}
 _EPOCH_S = (6e8, 4.1e9)  # 1989 to 2099
 _POSSIBLE_HZ = (0.5, 1e5)
 _TYPICAL_RATE_HZ = 130.0
+_SLOWEST_MTI_S = 0.5
 TYPICAL_FRAMES_HZ = 20.0
 
 
@@ -58,6 +59,14 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
     return unit, f"the rate is then {rates[unit]:.4g} Hz"
 
 
+def named_unit(unit: str | None, stamps: NDArray[Any]) -> str | None:
+    """Return the unit of stamps that a header names: Xsens' SampleTimeFine counts 100 us in an MTi, us in a DOT."""
+    if unit != "100us" or len(stamps) < 2:
+        return unit
+    step = float(np.median(np.diff(stamps.astype(np.float64))))
+    return "us" if step > _SLOWEST_MTI_S / 1e-4 else unit
+
+
 def stray_timestamp(t_ns: Integers) -> int | None:
     """Return the index of the first timestamp (n,) [ns] more than half a day from the middle one; None if none is.
 
@@ -68,6 +77,8 @@ def stray_timestamp(t_ns: Integers) -> int | None:
 
 
 _WRAP = 1 << 32
+_WRAPS = (_WRAP, 1 << 30)
+"""Where counters begin again: micros() and millis(); MicroPython's ticks_us() and ticks_ms()."""
 
 
 def _is_32_bits(stamps: NDArray[Any]) -> bool:
@@ -75,7 +86,7 @@ def _is_32_bits(stamps: NDArray[Any]) -> bool:
 
 
 class Unwrapper:
-    """Continues counters of 32 bits, such as micros() and millis(), where they begin again at zero.
+    """Continues counters of 32 or 30 bits, such as micros() and ticks_us(), where they begin again at zero.
 
     A block of stamps is continued from the one before it. Only where the counter goes on within 1/64 of its range, 67 s
     of microseconds, has it begun again; any other step back is left as it is, and so are stamps that it cannot hold.
@@ -83,6 +94,7 @@ class Unwrapper:
 
     def __init__(self) -> None:
         self.wraps = 0
+        self._ahead = 0
         self._last: int | None = None
 
     def __call__(self, stamps: NDArray[Any]) -> NDArray[Any]:
@@ -91,11 +103,15 @@ class Unwrapper:
             return stamps
         steps = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
         self._last = int(stamps[-1])
-        back = (steps + _WRAP >= 0) & (steps + _WRAP < _WRAP // 64)
-        late = (_WRAP - steps >= 0) & (_WRAP - steps < _WRAP // 64)  # a line from before that comes behind
-        turns = self.wraps + np.cumsum(back.astype(np.int64) - late)
-        self.wraps = int(turns[-1])
-        return stamps + _WRAP * turns if turns.any() else stamps
+        ahead = np.full(len(stamps), self._ahead)
+        for wrap in _WRAPS:
+            back = (steps + wrap >= 0) & (steps + wrap < wrap // 64)
+            late = (wrap - steps >= 0) & (wrap - steps < wrap // 64)  # a line from before that comes behind
+            turns = back.astype(np.int64) - late
+            self.wraps += int(turns.sum())
+            ahead += wrap * np.cumsum(turns)
+        self._ahead = int(ahead[-1])
+        return stamps + ahead if ahead.any() else stamps
 
 
 def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:

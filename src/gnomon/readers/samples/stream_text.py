@@ -21,7 +21,7 @@ from ..recordings import inertial_streams, without_magnetometer
 from .column_names import Roles, column_roles
 from .printed_lines import PRINTED_HEAD_BYTES, LineRewriter, printed_form
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
-from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
+from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
 from .table import Triad, preamble_rate, read_table, uniform_stamps
 from .text_table import Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
 
@@ -132,8 +132,9 @@ def _plan(
     elif len(used.time) == 1:
         column, named = used.time[0]
         unit = time_unit or named
-        if unit is None:
-            unit, _ = guess_time_unit(Unwrapper()(_parsed(head, layout, [column], [])[column]))
+        if unit in {None, "100us"}:
+            stamps = Unwrapper()(_parsed(head, layout, [column], [])[column])
+            unit = named_unit(unit, stamps) or guess_time_unit(stamps)[0]
     return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
 
 

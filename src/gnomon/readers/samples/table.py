@@ -14,7 +14,7 @@ from ..files import TextFile
 from .column_help import HELP, columns_help, time_help
 from .column_names import Roles, column_name, column_roles, unit_of
 from .printed_lines import lines_as_table
-from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
+from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
 
@@ -36,7 +36,6 @@ _LONGEST_LINE = 200
 """Characters of a line of the preamble that states a rate."""
 
 RATE_HELP = "State it with --rate, for example --rate 100."
-TIME_HELP = ' If a column holds the time, name the columns: --columns "t ax ay az gx gy gz" (_ skips one).'
 
 
 @value_class(eq=True)
@@ -185,7 +184,7 @@ def _made_stamps(
     if rate_hz is None:
         rate_hz, origin = preamble_rate(layout.preamble), "as its preamble says"
     if rate_hz is None:
-        advice = time_help(layout, _column_words(layout, used)) or TIME_HELP
+        advice = time_help(layout, _column_words(layout, used))
         raise RecordingError(
             f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}{advice}"
         )
@@ -200,6 +199,7 @@ def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None)
     ((column, named),) = used.time
     unwrapper = Unwrapper()
     stamps = unwrapper(data[column])
+    named = named_unit(named, stamps)
     if stated is not None:
         unit, reason = stated, "as stated"
     elif named is not None:
@@ -210,7 +210,7 @@ def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None)
         except ValueError:
             raise RecordingError(f"{file.name}: the timestamps are not numbers. {HELP}") from None
     if unwrapper.wraps:
-        reason += f"; a counter of 32 bits, continued where it began again ({unwrapper.wraps} times)"
+        reason += f"; a counter that wraps, continued where it began again ({unwrapper.wraps} times)"
     return to_ns(stamps, unit, file.name), f"{file.name}: time in {unit} ({reason})."
 
 
@@ -242,7 +242,7 @@ def preamble_rate(lines: tuple[str, ...]) -> float | None:
         if key.endswith("hz"):
             key = key.removesuffix("hz")
         value = float(match["value"])
-        if key in _RATE_KEYS and value > 0:
+        if (key in _RATE_KEYS or key.endswith("samplerate")) and value > 0:
             return value * (1000.0 if unit.lower() == "khz" else 1.0)
         if key in _PERIOD_KEYS and value > 0:
             return {"ns": 1e9, "us": 1e6, "ms": 1e3}.get(unit_of(unit, "time") or "s", 1.0) / value

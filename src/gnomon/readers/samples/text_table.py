@@ -152,7 +152,9 @@ def _header(lines: list[str], delimiter: str | None, columns: int) -> tuple[tupl
     if not named:
         return (), tuple(lines)
     names = named[0][1]
-    if len(named) == 2:  # a row of names above a row of units
+    if len(named) == 2 and {*map(str.lower, named[1][1])} <= {*"xyz"}:  # a title of as many words above the axes
+        names = named[1][1]
+    elif len(named) == 2:  # a row of names above a row of units
         names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, named[1][1], strict=True)]
     return tuple(names), tuple(lines[: named[0][0]])
 
