@@ -225,7 +225,7 @@ def _assess(
             gnomon_version=__version__,
             method="camera-imu",
             inputs=fit.recording.sources,
-            options=stated_options(replace(stated, compare=False)),  # what is drawn changes no number
+            options=stated_options(replace(stated, compare=False), [fit.recording]),  # what is drawn changes no number
         ),
     )
     return Result(calibration=with_changes(with_precision(calibration), trust), diagnostics=diagnostics)

@@ -37,7 +37,7 @@ from ..options import ImuOptions
 from ..progress import Progress
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
-from ..results.intervals import Booleans
+from ..results.intervals import Booleans, interval_means
 from ..results.result import Result
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
@@ -54,6 +54,7 @@ from .steps.preparation import (
     stated_options,
     weighted_stream,
 )
+from .steps.temperature_while_turned import TemperatureSlopes, temperature_slopes
 
 _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
 
@@ -127,12 +128,14 @@ class _Readings:
     problem, streams : see `build_problem`
     touched : which of the intervals found were disturbed, and are left out
     course : of the accelerometer's bias over the time, see `accelerometer_course`
+    reference_degc : mean temperature at rest [degC]; None where it did not both rise and fall
     """
 
     problem: MultiPositionProblem
     streams: tuple[TriadStream, TriadStream]
     touched: Booleans
     course: BiasChanges
+    reference_degc: float | None
 
 
 def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions) -> _Readings:
@@ -142,10 +145,14 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
         prepared.accelerometer_saturated,
         chosen.intervals,
     )
+    reference = None
+    if prepared.degc is not None:
+        reference = float(interval_means(prepared.degc[:, None], chosen.intervals).mean())
+        at_rest = replace(at_rest, degc=prepared.degc - reference)
     course, functions = accelerometer_course(at_rest)
     touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
-    return _Readings(problem=problem, streams=streams, touched=touched, course=course)
+    return _Readings(problem=problem, streams=streams, touched=touched, course=course, reference_degc=reference)
 
 
 def _fit(
@@ -170,9 +177,10 @@ def _fit(
         course=None if readings.touched.any() else readings.course,
     )
     estimate = _in_units(model.fit, problem, gravity, options)
-    names = covariance_names({"imu0": imu_calibration(estimate, prepared)})
-    unseen = unseen_changes(model.fit)
-    trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, gravity=gravity, options=options, unseen=unseen)
+    slopes = temperature_slopes(model.fit, problem, readings.reference_degc)
+    imu = imu_calibration(estimate, prepared)
+    names = covariance_names({"imu0": imu if slopes is None else replace(imu, temperature=slopes.found)})
+    trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, slopes, gravity=gravity, options=options)
     weak = imu_weak(estimate)
     return ImuFitSummary(
         accelerometer=readings.streams[0],
@@ -193,6 +201,7 @@ def _fit(
         instabilities=trust.instabilities,
         unseen_sigma=unseen_sigma,
         gravity_m_s2=gravity.value,
+        temperature=None if slopes is None else slopes.found,
     )
 
 
@@ -207,7 +216,7 @@ def _assess(
 ) -> Result:
     """Return the calibration with its verdict, and the tables that show how it came about."""
     diagnostics = describe_imu(fit)
-    imus = {"imu0": imu_calibration(fit.estimate, prepared)}
+    imus = {"imu0": replace(imu_calibration(fit.estimate, prepared), temperature=fit.temperature)}
     findings = (*prepared.findings, *_agreement(fit.problem, known, gravity, options))
     calibration = Calibration(
         imus=imus,
@@ -216,7 +225,10 @@ def _assess(
         uncertainty=Covariance(names=covariance_names(imus), matrix=fit.estimate.covariance),
         assessment=assess_imu(findings, fit, diagnostics, gravity),
         provenance=Provenance(
-            gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
+            gnomon_version=__version__,
+            method="imu",
+            inputs=recording.sources,
+            options=stated_options(options, [recording]),
         ),
     )
     calibration = with_changes(calibration, fit.trust)
@@ -248,7 +260,9 @@ def _problem(
     """Gather what the undisturbed intervals and the rotations between them measured."""
     t_s, still = accelerometer.t_s, accelerometer.intervals.where(~touched)
     if touched.any():
+        degc = accelerometer.degc
         accelerometer = weighted_stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
+        accelerometer = replace(accelerometer, degc=degc)
     rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
     at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
     if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
@@ -257,6 +271,8 @@ def _problem(
             "Both must be recorded together and stamped by one clock."
         )
     gyroscope = weighted_stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
+    if accelerometer.degc is not None:
+        gyroscope = replace(gyroscope, degc=np.interp(t_gyro, t_s, accelerometer.degc))
     # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
     cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
     unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2
@@ -281,24 +297,30 @@ def _trusted(
     problem: MultiPositionProblem,
     estimate: ImuEstimate,
     names: tuple[str, ...],
+    slopes: TemperatureSlopes | None,
     *,
     gravity: Gravity,
     options: ImuOptions,
-    unseen: Floats,
 ) -> tuple[RobustCovariance, Floats]:
     """Return the covariance from clusters of static intervals, and how parts of the recording agree.
 
-    Also the sigma (m,) that changes of a bias which cannot be excluded add; `unseen` is their covariance of theta.
+    Also the sigma (33,) that changes of a bias which cannot be excluded add.
     """
     _, jacobian = sensor_scalars(
         fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity.value, latitude_deg=options.latitude
     )
-    from_unseen = jacobian @ unseen @ jacobian.T
+    from_unseen = jacobian @ unseen_changes(fit) @ jacobian.T
+    ordinary, jacobian = estimate.covariance + from_unseen, free_jacobian(fit, jacobian)
+    if slopes is not None:
+        jacobian = np.concatenate([jacobian, slopes.jacobian[:, fit.free]])
+        both = jacobian @ fit.arrow.corner_covariance @ jacobian.T
+        both[: len(ordinary), : len(ordinary)] = ordinary
+        ordinary = both
     trust = robust_covariance(
         segment_sums(fit),
-        free_jacobian(fit, jacobian),
+        jacobian,
         names,
-        estimate.covariance + from_unseen,
+        ordinary,
         biases=_BIASES,
         widened=options.covariance == "robust",
         single=segment_sums(fit, with_runs(fit)),

@@ -287,7 +287,7 @@ def calibrate_magnetometer(
             gnomon_version=__version__,
             method="magnetometer",
             inputs=recording.sources,
-            options=stated_options(options),
+            options=stated_options(options, [recording]),
         ),
     )
     calibration = with_changes(calibration, evidence.trust.trust)

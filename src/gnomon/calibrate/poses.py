@@ -165,7 +165,10 @@ def calibrate_poses(
         uncertainty=Covariance(names=covariance_names(imus), matrix=covariance),
         assessment=assess_poses(evidence, diagnostics),
         provenance=Provenance(
-            gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
+            gnomon_version=__version__,
+            method="imu",
+            inputs=recording.sources,
+            options=stated_options(options, [recording]),
         ),
     )
     calibration = with_changes(calibration, diagnostics.trust)

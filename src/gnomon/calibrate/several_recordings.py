@@ -72,7 +72,13 @@ def calibrated_alike(
     ]
     if len({result.calibration.assessment.model for result in results}) > 1:
         results = _with_one_model(_one_by_one(names, recordings, progress), results, options, one)
-    return results
+    return [replace(result, calibration=at_reference(result.calibration)) for result in results]
+
+
+def at_reference(calibration: Calibration) -> Calibration:
+    """Return a calibration of one IMU as it is at its reference temperature, without how it changes."""
+    found = next(iter(calibration.imus.values())).temperature
+    return calibration if found is None else calibration.at_temperature(found.reference_degc)
 
 
 def _check_options(options: ImuOptions, prior: Priors) -> None:
@@ -215,11 +221,12 @@ def _joined(
     first = results[0].calibration
     imus = {"imu0": with_scalars(first.imus["imu0"], mean / scalars.factor)}
     inputs = tuple(dict.fromkeys(source for recording in recordings for source in recording.sources))
+    stated = stated_options(options, recordings)
     calibration = replace(
         first,
         imus=imus,
         uncertainty=Covariance(names=scalars.names, matrix=covariance / np.outer(scalars.factor, scalars.factor)),
-        provenance=Provenance(gnomon_version=__version__, method="imu", inputs=inputs, options=stated_options(options)),
+        provenance=Provenance(gnomon_version=__version__, method="imu", inputs=inputs, options=stated),
     )
     calibration = replace(calibration, assessment=joined_assessment(calibration, results, names, scalars, scatter))
     diagnostics = JoinedDiagnostics(

@@ -229,8 +229,11 @@ def _reference(stated: float | None, calibration: Calibration | None, span: tupl
         return stated
     if calibration is None:
         return float(round(sum(span) / 2))
-    if (known := calibration.provenance.options.get("temperature_c")) is not None:
-        return float(known)
+    if (sensor := next(iter(calibration.imus.values()))).temperature is not None:
+        return sensor.temperature.reference_degc
+    for key in ("temperature_c", "chip_degc"):
+        if (known := calibration.provenance.options.get(key)) is not None:
+            return float(known)
     raise OptionError(
         "nothing tells at which temperature of the chip the calibration was made. State it with --reference-degc; "
         "`gnomon check` shows it of the recording, and `gnomon imu --temperature-c` keeps it."

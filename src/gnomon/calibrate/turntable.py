@@ -119,7 +119,10 @@ def calibrate_turntable(
             gnomon_version=__version__,
             method="turntable",
             inputs=tuple(source for recording in recordings for source in recording.sources),
-            options={"rates": " ".join(rate.name for rate in prepared.rates[:-1]), **stated_options(options)},
+            options={
+                "rates": " ".join(rate.name for rate in prepared.rates[:-1]),
+                **stated_options(options, recordings),
+            },
         ),
     )
     return Result(calibration=with_changes(calibration, diagnostics.trust), diagnostics=diagnostics)

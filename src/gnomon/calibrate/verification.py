@@ -26,6 +26,7 @@ from .camera_imu import calibrate_camera_imu
 from .cameras import calibrate_cameras
 from .imu import calibrate_imu
 from .magnetometer import calibrate_magnetometer
+from .several_recordings import at_reference
 
 _WIDE = {"sensitivity": 0.05, "g_sensitivity": 3e-3}
 """Sigmas of the prior that lets a short recording be estimated, whose share is taken out again: relative to the scale;
@@ -106,6 +107,7 @@ def _at_its_temperature(
     else:
         fresh = recording.calibration if isinstance(recording, Result) else recording
         stated = fresh.provenance.options.get("temperature_c")
+        stated = stated or fresh.provenance.options.get("chip_degc")
         degc = None if stated is None else float(stated)
     if degc is None:
         raise OptionError(
@@ -146,7 +148,7 @@ def _estimated(
     if imu.magnetometer is not None and imu.gyroscope is None:
         return calibrate_magnetometer(recording, progress=progress).calibration, None
     wide = _wide(known) if isinstance(known, Calibration) else None
-    return calibrate_imu(recording, progress=progress, prior=wide).calibration, wide
+    return at_reference(calibrate_imu(recording, progress=progress, prior=wide).calibration), wide
 
 
 def _wide(calibration: Calibration) -> Calibration:

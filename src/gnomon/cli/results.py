@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from ..results.result import Result
 
 
+_MOVED_K = 4.0
+"""Change of the chip's temperature from which on a line is told from it."""
 USABLE, UNUSABLE = 0, 4
 """Exit codes of work that was finished."""
 
@@ -102,8 +104,16 @@ def print_result(
         options = [word for name, value in stated.items() if value is not None for word in (name, str(value))]
         terminal.print("")
         terminal.propose("apply", folder / "calibration.yaml", "RECORDING", *options, "-o", "corrected.csv")
+    propose_temperature(calibration, folder, terminal)
     terminal.document(lambda: {**result_document(calibration, folder, assumptions), **(more or {})})
     return exit_code(calibration)
+
+
+def propose_temperature(calibration: "Calibration", folder: Path, terminal: Terminal) -> None:
+    """Propose to find what the temperature does, where it moved while the sensor was recorded."""
+    span = calibration.provenance.options.get("chip_range_degc", "0 to 0").split(" to ")
+    if calibration.verdict != "fail" and float(span[1]) - float(span[0]) >= _MOVED_K:
+        terminal.propose("temperature", "WARM-UP", "--calibration", folder / "calibration.yaml")
 
 
 def print_summary(calibration: "Calibration", facts: Iterable[str], terminal: Terminal) -> None:

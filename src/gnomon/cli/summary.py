@@ -12,7 +12,7 @@ from ..findings import Finding
 from ..formats.shared.losses import prior_held_names
 from ..recording import Floats
 from ..results.calibration import Calibration, calibration_parameters, element_names
-from ..results.parameter_units import parameter_unit
+from ..results.parameter_units import parameter_unit, unit_ratio
 from ..results.trust import UncertaintySummary
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 
@@ -104,7 +104,18 @@ def parameter_lines(calibration: Calibration) -> Iterator[str]:
             continue
         if calibration.cameras and path.endswith("sensitivity") and not sigma.any():
             continue  # an ideal sensor, by the choice of the model
-        yield from _block(path.replace(".", " "), parameter_unit(calibration, path), value, sigma)
+        title, unit = path.replace(".", " "), parameter_unit(calibration, path)
+        if ".temperature." not in path:
+            yield from _block(title, unit, value, sigma)
+            continue
+        for power, pair in enumerate(zip(value, sigma, strict=True), 1):
+            yield from _block(
+                f"{title}, (T - T_ref)^{power}", unit_ratio(unit, f"K^{power}" if power > 1 else "K"), *pair
+            )
+    for name, imu in calibration.imus.items():
+        if (found := imu.temperature) is not None:
+            known = f"known from {found.low_degc:.1f} to {found.high_degc:.1f} degC"
+            yield f"  {name} at T_ref = {found.reference_degc:.2f} degC, {known}"
 
 
 def _block(title: str, unit: str, value: Floats, sigma: Floats) -> Iterator[str]:

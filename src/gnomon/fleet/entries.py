@@ -22,7 +22,7 @@ class LibraryEntry:
     Attributes
     ----------
     serial, measured, station, operator : what was stated of it; measured is YYYY-MM-DD; "" where it was not
-    temperature_c : of the measurement; nan where it was not stated
+    temperature_c : of the measurement, as stated or by the chip; nan where neither tells
     kind : the command that made it, such as "imu"
     verdict, use, version, folder : verdict, what it was judged for, the gnomon that made it, the folder of its result
     gravity : what was taken for gravity [m/s^2]
@@ -72,7 +72,7 @@ class LibraryEntry:
             measured=stated.get("date", ""),
             station=stated.get("place", ""),
             operator=stated.get("operator", ""),
-            temperature_c=float(stated.get("temperature_c", "nan")),
+            temperature_c=float(stated.get("temperature_c", stated.get("chip_degc", "nan"))),
             kind=calibration.provenance.method,
             verdict=calibration.verdict,
             use=assessment.trust.use,

@@ -16,6 +16,8 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
+from ..results.parameter_units import element_units
+from ..results.sensors import TemperatureDependence
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit, with_sigma
 from .page import Bar, Parameter, ParameterGroup, ReportTable, parameter_line
@@ -61,6 +63,27 @@ def _triad_groups(calibration: Calibration, name: str, imu: ImuCalibration, pref
         path, title, si = f"{name}.magnetometer", f"{prefix}Magnetometer", "µT" if known else LOCAL_FIELD
         yield from _shape(calibration, path, title, imu.magnetometer, si=si, unit_in_si=nominal)
         yield _bias(calibration, path, f"{title} bias", imu.magnetometer, si)
+    if imu.temperature is not None:
+        yield from _over_temperature(calibration, name, imu.temperature)
+
+
+def _over_temperature(calibration: Calibration, name: str, found: TemperatureDependence) -> Iterator[ParameterGroup]:
+    """Yield the slopes at the reference of what changes with the temperature."""
+    known = f"per kelvin at {found.reference_degc:.1f} °C, known from {found.low_degc:.1f} to {found.high_degc:.1f} °C"
+    for part, coefficients in found.parts():
+        triad, kind = part.split("_")
+        path = f"{name}.temperature.{part}"
+        slopes, sigmas = coefficients[0], calibration.sigma(path)[0]
+        if kind == "sensitivity":
+            slopes, sigmas = np.diagonal(slopes), np.diagonal(sigmas)
+        unit = element_units(calibration, path)[0]
+        rows = [
+            parameter_line(f"slope {axis}", float(slope), float(sigma), readable_unit(unit))
+            for axis, slope, sigma in zip(AXES, slopes, sigmas, strict=True)
+        ]
+        what = "bias" if kind == "bias" else "scale"
+        note = f"{known}; of order {len(coefficients)}"
+        yield ParameterGroup(f"{triad.capitalize()} {what} over the temperature", note, tuple(rows))
 
 
 def _sigmas(calibration: Calibration, path: str) -> Floats:

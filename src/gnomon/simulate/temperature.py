@@ -88,7 +88,7 @@ def _turned(
         made, known = simulate_imu(plain, seed)
         samples, sensor = made.imus["imu0"], known.imus["imu0"]
         t_s = samples.gyroscope.t_s
-        course = at + rng.normal(0.0, 1.0) + scenario.self_heating_k * (1 - np.exp(-t_s / scenario.time_constant_s))
+        course = at + rng.normal(0.0, 1.0) + scenario.self_heating_k * _approach(scenario, t_s)
         degc.append(course)
         turn_on = {"gyroscope": scenario.gyroscope_turn_on, "accelerometer": scenario.accelerometer_turn_on}
         triads: dict[str, TriadSamples] = {}
@@ -144,13 +144,16 @@ def _recording(
 def _course(scenario: TemperatureScenario, t_s: Floats, rng: np.random.Generator) -> Floats:
     """Return the temperature of the chip: up exponentially, and down again in the second half where that is wanted."""
     start, end = scenario.start_degc + rng.normal(0.0, 1.0), scenario.end_degc + rng.normal(0.0, 1.0)
-    tau = scenario.time_constant_s
-    course = end - (end - start) * np.exp(-t_s / tau)
-    if scenario.back:
-        half = t_s[-1] / 2
-        top = end - (end - start) * np.exp(-half / tau)
-        course = np.where(t_s < half, course, start + (top - start) * np.exp(-(t_s - half) / tau))
-    return course
+    return start + (end - start) * _approach(scenario, t_s)
+
+
+def _approach(scenario: TemperatureScenario, t_s: Floats) -> Floats:
+    """Return how far the temperature is on its way to the end, (n,) from 0 to 1."""
+    tau, half = scenario.time_constant_s, float(t_s[-1]) / 2
+    there = 1 - np.exp(-t_s / tau)
+    if not scenario.back:
+        return there
+    return np.where(t_s < half, there, (1 - np.exp(-half / tau)) * np.exp(-(t_s - half) / tau))
 
 
 def _read(scenario: TemperatureScenario, t_s: Floats, degc: Floats, rng: np.random.Generator) -> Floats:

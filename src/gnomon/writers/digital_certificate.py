@@ -181,11 +181,12 @@ def _fill_conditions(parent: Element, calibration: Calibration) -> None:
     _add_text(condition, "name", "Gravity")
     _add_text(condition, "description", gravity.source)
     _add_real(_add(_add(condition, "data"), "quantity"), gravity.value, gravity.sigma, *si_unit("m/s^2"))
-    if "temperature_c" in stated:
-        condition = _add(parent, "influenceCondition")
-        _add_text(condition, "name", "Temperature")
-        quantity = _add(_add(condition, "data"), "quantity")
-        _add_real(quantity, float(stated["temperature_c"]), 0.0, 1.0, "\\degreecelsius")
+    for key, name in (("temperature_c", "Temperature"), ("chip_degc", "Temperature of the chip")):
+        if key in stated:
+            condition = _add(parent, "influenceCondition")
+            _add_text(condition, "name", name)
+            quantity = _add(_add(condition, "data"), "quantity")
+            _add_real(quantity, float(stated[key]), 0.0, 1.0, "\\degreecelsius")
 
 
 def _fill_parameters(parent: Element, calibration: Calibration) -> None:

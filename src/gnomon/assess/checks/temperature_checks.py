@@ -8,7 +8,8 @@ import numpy as np
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TemperatureSamples, smallest_steps
 
-_CHIP_DEGC = (-60.0, 130.0)
+CHIP_DEGC = (-60.0, 130.0)
+"""Temperatures at which a chip may work."""
 _HOT_DEGC = 65.0
 """Degrees Celsius that a chip rarely has, and Fahrenheit often reads."""
 _STEADY_K, _STEPS = 1.0, 3.0
@@ -45,7 +46,7 @@ def check_temperature(samples: TemperatureSamples, label: str) -> list[Finding]:
         return []
     t_ns, celsius = samples.t_ns[known], celsius[known]
     middle = float(np.median(celsius))
-    if not _CHIP_DEGC[0] <= middle <= _CHIP_DEGC[1]:
+    if not CHIP_DEGC[0] <= middle <= CHIP_DEGC[1]:
         return [make_finding("temperature-implausible", label=label, middle=middle, unit=samples.unit)]
     doubtful = middle > _HOT_DEGC and samples.unit == "degC"
     findings = [make_finding("temperature-hot", label=label, middle=middle)] if doubtful else []

@@ -1,5 +1,7 @@
 """Biases that stepped, wandered or warmed up while an IMU was recorded: what they did, and which bias is published."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
@@ -25,6 +27,8 @@ def changes_in_model(evidence: ImuFitSummary) -> tuple[str, ...]:
             found.append(f"{triad}drift")
         if _functions(evidence, k).of_kind("step").any():
             found.append(f"{triad}bias steps")
+        if _functions(evidence, k).of_kind("temperature").any():
+            found.append(f"{triad}bias over the temperature")
     return tuple(found)
 
 
@@ -46,12 +50,34 @@ def drift_findings(evidence: ImuFitSummary) -> list[Finding]:
             )
         else:
             findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, float(np.abs(moved).max()))))
+    findings += _slope_findings(evidence)
     for triad, own in zip(_TRIADS, _BIASES, strict=True):
         unseen, sigma = evidence.unseen_sigma[own], np.sqrt(np.diag(evidence.estimate.covariance)[own])
         if np.any(unseen**2 > _MOSTLY * sigma**2):
             size = float(np.max(unseen / _per_si(evidence, triad)))
             findings.append(make_finding("bias-change-possible", triad=triad, size=_shown(triad, size)))
     return findings
+
+
+def _slope_findings(evidence: ImuFitSummary) -> Iterator[Finding]:
+    """Yield by how much the biases follow the temperature."""
+    found = evidence.temperature
+    if found is None:
+        return
+    variances = np.diag(evidence.estimate.covariance)[len(evidence.unseen_sigma) :].reshape(-1, 3)
+    for (part, slopes), variance in zip(found.parts(), variances, strict=True):
+        triad = part.removesuffix("_bias")
+        size = (found.high_degc - found.low_degc) / _per_si(evidence, triad)
+        worst = int(np.argmax(np.abs(size * slopes[0])))
+        yield make_finding(
+            "temperature-slope",
+            triad=triad,
+            change=_shown(triad, float(abs(size * slopes[0])[worst])),
+            sigma=_shown(triad, float(size[worst] * np.sqrt(variance[worst]))),
+            low=found.low_degc,
+            high=found.high_degc,
+            reference=found.reference_degc,
+        )
 
 
 def step_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:

@@ -26,6 +26,7 @@ from ...results.imu_diagnostics import (
     SignalEnvelope,
 )
 from ...results.intervals import Booleans, interval_means
+from ...results.sensors import TemperatureDependence
 from ...results.trust import Trust
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
@@ -51,6 +52,7 @@ class ImuFitSummary:
     trust, instabilities : how far they can be trusted, and how biases differed between parts of the recording
     unseen_sigma : (33,) part of the sigmas that is by changes of a bias which the data cannot exclude
     gravity_m_s2 : magnitude of gravity
+    temperature : how the biases follow it; None where they do not, or nothing tells
     """
 
     accelerometer: TriadStream
@@ -71,6 +73,7 @@ class ImuFitSummary:
     instabilities: tuple[Instability, ...]
     unseen_sigma: Floats
     gravity_m_s2: float
+    temperature: TemperatureDependence | None = None
 
     @property
     def rows(self) -> Integers:

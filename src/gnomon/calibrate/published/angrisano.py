@@ -74,7 +74,10 @@ def calibrate_poses_as_published(
             noticed, prepared.left_out, fit=fit, sensor=sensor, diagnostics=diagnostics, gravity=gravity
         ),
         provenance=Provenance(
-            gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
+            gnomon_version=__version__,
+            method="imu",
+            inputs=recording.sources,
+            options=stated_options(options, [recording]),
         ),
     )
     if options.frame not in ("accel-x", "accel-z"):  # the first is the default, which the document does not know

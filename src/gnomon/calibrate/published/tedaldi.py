@@ -173,7 +173,10 @@ def calibrate_as_published(recording: Recording, prepared: PreparedImu, options:
             converged=search.fit.converged and turned.fit.converged,
         ),
         provenance=Provenance(
-            gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
+            gnomon_version=__version__,
+            method="imu",
+            inputs=recording.sources,
+            options=stated_options(options, [recording]),
         ),
     )
     if options.frame != "accel-z":

@@ -38,6 +38,7 @@ from ...results.calibration import (
     rotate_imu,
 )
 from ...results.intervals import Booleans, StaticIntervals
+from .temperature_while_turned import chip_temperature, course_both_ways
 
 _POSE = re.compile(r"([xyz])=(-?)(\d+)")
 
@@ -73,7 +74,8 @@ def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas:
         matrices = _unflattened(x[:n], imu)
         up = _up(matrices[0], matrices[1], x[n:].reshape(-1, 3))
         rotation = nearest_rotation(axes.T @ up)
-        return np.concatenate([(m @ rotation.T).ravel() if m.ndim == 2 else m for m in matrices])
+        turned = [(m @ rotation.T).ravel() if m.shape == (3, 3) else m.ravel() for m in matrices]
+        return np.concatenate(turned)
 
     point = np.concatenate([flat, means.ravel()])
     jacobian = _differences(moved, point)
@@ -184,6 +186,7 @@ class PreparedImu:
     accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
     findings : what the data doctor noticed
     rests : where it rested, as the data doctor found it; None where it is shorter than two windows
+    degc : (n,) temperature at the accelerometer's samples [degC]; None where it did not both rise and fall
     """
 
     accelerometer: TriadSamples
@@ -194,6 +197,7 @@ class PreparedImu:
     gyroscope_saturated: Booleans
     findings: tuple[Finding, ...]
     rests: RestDetection | None
+    degc: Floats | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -331,6 +335,7 @@ def _on_time_base(
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
     gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
     findings += tuple(_uniform_despite_gaps(accelerometer_time, gyroscope_time))
+    course = course_both_ways(samples.temperature)
     return PreparedImu(
         accelerometer=accelerometer,
         gyroscope=gyroscope,
@@ -340,6 +345,7 @@ def _on_time_base(
         gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
+        degc=None if course is None else course.at(accelerometer.t_ns),
     )
 
 
@@ -364,9 +370,11 @@ def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> 
 
 def stated_options(
     options: ImuOptions | CameraImuOptions | CameraOptions | TurntableOptions | MagnetometerOptions,
+    recordings: Sequence[Recording] = (),
 ) -> dict[str, str]:
-    """Return the options that differ from their default, as text."""
-    return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
+    """Return the options that differ from their default, as text, and at which temperature the chip was recorded."""
+    stated = {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
+    return stated | chip_temperature(recordings)
 
 
 def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibration:

@@ -28,7 +28,16 @@ from ..command import (
 from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting, result_with_reading
 from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
 from ..parsing.arguments import Argument
-from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
+from ..results import (
+    USABLE,
+    exit_code,
+    print_assumptions,
+    print_files,
+    print_summary,
+    propose_temperature,
+    result_document,
+    write_result,
+)
 from ..simulated import RIG_FILES, check_form, folder_document, print_folder, replaces_simulated
 from ..terminal import Terminal
 from .camera import NO_TARGET, ImagesAs
@@ -162,6 +171,7 @@ class CameraImu(Command):
             reading = [name for name in programs_reading(result.calibration) if name != "kalibr"]
             terminal.print("")
             terminal.propose("convert", folder, "--to", (*reading, "openvins")[0])
+        propose_temperature(result.calibration, folder, terminal)
         terminal.document({**document, **_findings_of_the_solution(result)})
         return exit_code(result.calibration)
 

@@ -208,7 +208,7 @@ def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Float
     """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows."""
     changes = accelerometer_changes(rest_means(accelerometer))
     start, stop = (accelerometer.t_s[at] for at in (accelerometer.intervals.start, accelerometer.intervals.stop - 1))
-    return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start))
+    return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start), accelerometer.degc_at_rest)
 
 
 def disturbed_intervals(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:

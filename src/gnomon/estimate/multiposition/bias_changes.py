@@ -1,11 +1,11 @@
 """Whether a bias stepped or warmed up while a recording lasted, and when, by the evidence of the rests.
 
 Each mean at rest is the constant model plus white noise, an unknown extra scatter, and an unknown random walk; the
-likelihood is that of the best of a grid of both. Steps between two rests, an exponential decay, and single rests that
-stand out are added one by one, the one that raises the likelihood most first, while the gain exceeds what one more set
-of parameters, and the number of places that were looked at, let expect (Schwarz 1978, with the choice of the place as
-in the two-part codes of Rissanen 1983). A bias that wanders is therefore not taken for many steps, and a step not for
-wander.
+likelihood is that of the best of a grid of both. Steps between two rests, an exponential decay, the temperature where
+it both rose and fell, and single rests that stand out are added one by one, the one that raises the likelihood most
+first, while the gain exceeds what one more set of parameters, and the number of places that were looked at, let expect
+(Schwarz 1978, with the choice of the place as in the two-part codes of Rissanen 1983). A bias that wanders is therefore
+not taken for many steps, and a step not for wander.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,6 +24,7 @@ _EXTRA = (0.0, 1.0, 10.0, 100.0, 1e4)  # variance of the scatter, in units of th
 _WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over the recording, in the same unit
 _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
 DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
+_SLOW = slice(3, None, 3)  # of these, which together are much like any drift in time: the temperature has to tell more
 _FINER_DECAYS = np.array([0.7, 0.84, 1.0, 1.19, 1.41]), np.array([0.92, 0.96, 1.0, 1.04, 1.08])  # times the best
 _FINER_PLACES = (np.linspace(-0.9, 0.9, 19).round(1),)  # beside the best of them
 _WITHIN = 4.0  # of log-likelihood by which a step within a rest must be likelier than one beside it
@@ -42,6 +43,7 @@ class BiasChanges:
     steps : places, ascending: k where the bias stepped between the static intervals k - 1 and k, and k + x where it
         did within interval k, after a share x of it
     warm_up_s : time constant of an exponential decay [s]; 0 without
+    temperature : whether it follows the temperature
     outlying : indices of static intervals that alone stand out
     sensor : index k > 0 of the static interval from which on scales and axes are others, too: another sensor; 0 without
     gain : log-likelihood of all changes together
@@ -49,12 +51,13 @@ class BiasChanges:
 
     steps: tuple[float, ...] = ()
     warm_up_s: float = 0.0
+    temperature: bool = False
     outlying: tuple[int, ...] = ()
     sensor: int = 0
     gain: float = 0.0
 
     def __bool__(self) -> bool:
-        return bool(self.steps or self.warm_up_s)
+        return bool(self.steps or self.warm_up_s or self.temperature)
 
 
 @value_class
@@ -66,6 +69,7 @@ class RestMeans:
     rest : (m,) number of the static interval that each is of, ascending
     t_s, half_s : (m,) middle and half of the length [s]
     means, variance : (m, 3) and the variance that white noise gives them
+    degc : (m,) temperature above a reference [K]; None where nothing tells its effect from that of the time
     """
 
     rest: Integers
@@ -73,6 +77,7 @@ class RestMeans:
     half_s: Floats
     means: Floats
     variance: Floats
+    degc: Floats | None = None
 
     def place(self, at: float) -> float:
         """Return a place among these means as one among the static intervals; see `BiasChanges.steps`."""
@@ -87,12 +92,14 @@ def shares_before(place: Floats | float, n: int) -> Floats:
     return np.clip(place - np.arange(n).reshape(-1, *[1] * place.ndim), 0.0, 1.0)
 
 
-def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats) -> Floats:
-    """Return what the bias follows at rest, (n, j): one in each segment but the last, and the decay."""
+def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats, degc: Floats | None = None) -> Floats:
+    """Return what the bias follows at rest, (n, j): one in each segment but the last, the decay, the temperature."""
     n = len(t_s)
     steps = [shares_before(place, n) for place in changes.steps]
     if changes.warm_up_s:
         steps.append(_decay(t_s, half_s, changes.warm_up_s))
+    if changes.temperature and degc is not None:
+        steps.append(degc)
     return np.stack(steps, axis=1) if steps else np.empty((n, 0))
 
 
@@ -190,9 +197,17 @@ def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int
     total = 0.0
     moved = np.zeros((n, 3))
     whitened = _whitened(rests, series(moved), candidates)
+    slow = [k for k, kind in enumerate(candidates.kind) if kind == "warm-up"][_SLOW]
+    refused: list[int] = []
     for _ in range(_MOST):
         gains = _gains(whitened, candidates, taken) - _price(candidates, n, taken, shortest)
+        gains[refused] = -np.inf
         best = int(np.argmax(gains))
+        if candidates.kind[best] == "temperature" and gains[best] > 0:
+            beside = [*taken, *(k for k in slow if k not in taken)]
+            if _gains(whitened, candidates, beside)[best] <= _price(candidates, n, taken, shortest)[best]:
+                refused.append(best)
+                continue
         if gains[best] <= 0:
             break
         taken.append(best)
@@ -205,13 +220,14 @@ def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int
     sensor = _other_sensor(series(moved), whitened, taken) if whitened[0].pulls > 1 else 0
     at = {
         kind: [float(candidates.at[k]) for k in taken if candidates.kind[k] == kind]
-        for kind in ("step", "warm-up", "single")
+        for kind in ("step", "warm-up", "temperature", "single")
     }
     alone = np.bincount(rests.rest[np.array(at["single"], dtype=np.int64)], minlength=1)
     most = 2 * alone > np.bincount(rests.rest)[: len(alone)]
     return BiasChanges(
         steps=tuple(sorted(map(rests.place, at["step"]))),
         warm_up_s=next(iter(at["warm-up"]), 0.0),
+        temperature=bool(at["temperature"]),
         outlying=tuple(map(int, np.flatnonzero(most))),
         sensor=int(rests.rest[sensor]),
         gain=total,
@@ -227,12 +243,15 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
     steps = shares_before(at.astype(np.float64), n)
     tau = np.array(DECAYS) * span
     decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
+    warmth = np.empty((n, 0)) if rests.degc is None else rests.degc[:, None]
+    parts = {"step": steps, "warm-up": decays, "temperature": warmth, "single": np.eye(n)}
+    counts = [part.shape[1] for part in parts.values()]
     return _Candidates(
-        values=np.concatenate([steps, decays, np.eye(n)], axis=1),
-        places=np.concatenate([np.full(len(at), len(at)), np.full(len(tau), len(tau)), np.full(n, n)]).astype(float),
-        kind=("step",) * len(at) + ("warm-up",) * len(tau) + ("single",) * n,
-        at=np.concatenate([at, tau, np.arange(n)]).astype(float),
-        single=np.arange(len(at) + len(tau) + n) >= len(at) + len(tau),
+        values=np.concatenate(list(parts.values()), axis=1),
+        places=np.repeat(counts, counts).astype(float),
+        kind=tuple(kind for kind, part in parts.items() for _ in range(part.shape[1])),
+        at=np.concatenate([at, tau, np.zeros(counts[2]), np.arange(n)]).astype(float),
+        single=np.arange(sum(counts)) >= sum(counts) - n,
     )
 
 
@@ -273,6 +292,7 @@ def _price(candidates: _Candidates, n: int, taken: Sequence[int], shortest: int)
     price[candidates.single] += _MARGIN
     price[list(taken)] = np.inf
     kinds = np.array(candidates.kind)
+    price[kinds == "temperature"] += _MARGIN
     if sum(kinds[k] == "single" for k in taken) >= n // 10:
         price[candidates.single] = np.inf
     if any(kinds[k] == "warm-up" for k in taken):

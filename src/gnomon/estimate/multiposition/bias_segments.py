@@ -1,4 +1,4 @@
-"""Segments of a recording between which a bias stepped, and the exponential of a sensor that warms up.
+"""Segments between which a bias stepped, the exponential of a sensor that warms up, and its temperature.
 
 A segment is a run of static intervals with a bias of its own: before and after a power cycle. The bias of segment j is
 b + c_j, and c = 0 in the last one, so that b is its bias.
@@ -9,13 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...recording import Floats
+from ...recording import Floats, Integers
 from .bias_changes import shares_before
 from .drift import mean_at_rest
-from .model import BiasFunctions, MultiPositionData
+from .model import PARAMETERS, BiasFunctions, MultiPositionData
 
 _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
+_WEAK_K = 10.0
+"""Change of the temperature that is as weakly known to move a bias [K]."""
 
 
 def with_bias_steps(
@@ -98,3 +100,27 @@ def decay_functions(data: MultiPositionData, time_constant_s: float, triad: str)
         kind=("warm-up",),
         sigma=np.full((1, 3), _WEAK[triad]),
     )
+
+
+def with_temperature(data: MultiPositionData, *, gyroscope: bool, accelerometer: bool) -> MultiPositionData:
+    """Return the data with biases that are linear in the temperature, which the data tell at rest and in motion."""
+    if data.degc is None:
+        return data
+    at_rest, in_motion = (part[:, None] for part in data.degc)
+    for triad, follows in (("gyroscope", gyroscope), ("accelerometer", accelerometer)):
+        if follows:
+            sigma = np.full((1, 3), _WEAK[triad] / _WEAK_K)
+            function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=("temperature",), sigma=sigma)
+            data = replace(data, **{f"{triad}_functions": getattr(data, f"of_{triad}").beside(function)})
+    return data
+
+
+def temperature_columns(data: MultiPositionData) -> dict[str, Integers]:
+    """Return where the three coefficients of the temperature stand in the parameters, of the triads that have them."""
+    found: dict[str, Integers] = {}
+    first = PARAMETERS
+    for triad, functions in (("gyroscope", data.of_gyroscope), ("accelerometer", data.of_accelerometer)):
+        for at in np.flatnonzero(functions.of_kind("temperature")):
+            found[triad] = first + 3 * int(at) + np.arange(3)
+        first += 3 * len(functions.kind)
+    return found

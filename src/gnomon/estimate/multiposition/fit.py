@@ -17,7 +17,7 @@ from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
-from .bias_segments import with_bias_steps, with_warm_up, without_rates
+from .bias_segments import with_bias_steps, with_temperature, with_warm_up, without_rates
 from .drift import (
     accelerometer_drifts,
     walk_density,
@@ -220,7 +220,7 @@ def _with_zeros(state: MultiPositionState, task: FitProblem) -> MultiPositionSta
 def _with_changes(
     data: MultiPositionData, state: MultiPositionState, known: tuple[BiasChanges | None, BiasChanges | None]
 ) -> tuple[MultiPositionData, tuple[BiasChanges, BiasChanges]]:
-    """Return the data with the steps and the warm-up of the biases for which the rests speak.
+    """Return the data with the steps, warm-up and temperature of the biases for which the rests speak.
 
     Where segments were given, the biases of other instants are not looked for.
     """
@@ -236,6 +236,7 @@ def _with_changes(
     data = with_bias_steps(data, gyroscope=of_gyroscope.steps, accelerometer=of_accelerometer.steps)
     data = without_rates(data, of_gyroscope.outlying)
     data = with_warm_up(data, gyroscope_s=of_gyroscope.warm_up_s, accelerometer_s=of_accelerometer.warm_up_s)
+    data = with_temperature(data, gyroscope=of_gyroscope.temperature, accelerometer=of_accelerometer.temperature)
     return data, (of_gyroscope, of_accelerometer)
 
 

@@ -52,7 +52,9 @@ def imu_models(
         columns = np.arange(first, first + 3 * len(function.kind))
         first += len(columns)
         stepping = np.repeat(function.of_kind("step", "single"), 3)
-        for name, own in (("drift", columns[~stepping]), ("bias steps", columns[stepping])):
+        warm = np.repeat(function.of_kind("temperature"), 3)
+        kinds = {"drift": columns[~(stepping | warm)], "temperature": columns[warm], "bias steps": columns[stepping]}
+        for name, own in kinds.items():
             if len(own):
                 steps.append(CandidateBlock(name=triad + name, columns=own, away=-theta[own], forced=True))
     return model_steps(sums, always, steps)

@@ -64,7 +64,7 @@ def alternative_models(fit: MultiPositionFit, triad: str) -> tuple[Floats, Float
     levels = _levels(fit, triad, candidates, fitted, new.ravel())
     estimated, theta = fitted[fit.free], np.zeros(len(fit.free) + new.size)
     theta[fitted] = fit.state.theta
-    taken = fitted[own[present.of_kind("step", "warm-up")]]
+    taken = fitted[own[present.of_kind("step", "warm-up", "temperature")]]
     found = [_solved(level, estimated, new, np.zeros(len(theta))) for level in levels]
     none = max(without for _, _, without in found)
     moves, odds = list[Floats](), list[Floats]()
@@ -170,7 +170,7 @@ def _published(fit: MultiPositionFit, triad: str) -> Floats:
     functions = data.of_accelerometer if triad == "accelerometer" else data.of_gyroscope
     n = len(data.interval_s)
     share = 1 - shares_before(changes.steps[-1], n) if changes.steps else np.ones(n)
-    if functions.of_kind("walk", "line", "warm-up").any():
+    if functions.of_kind("walk", "line", "warm-up", "temperature").any():
         weight = np.gradient(data.interval_s) * share
     else:
         weight = data.half_s * share * fit.interval_used

@@ -18,6 +18,7 @@ STATED: Mapping[str, str] = FrozenMapping(
         "operator": "Operator",
         "place": "Place",
         "temperature_c": "Temperature",
+        "chip_degc": "Temperature of the chip",
     }
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
@@ -45,7 +46,7 @@ def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
 def stated_facts(calibration: Calibration) -> list[tuple[str, str]]:
     """Return name and text of what was stated of the sensor and the measurement."""
     options = calibration.provenance.options
-    units = {"temperature_c": "\u00a0°C"}
+    units: dict[str, str] = dict.fromkeys(("temperature_c", "chip_degc"), "\u00a0°C")
     return [(name, options[key] + units.get(key, "")) for key, name in STATED.items() if key in options]
 
 

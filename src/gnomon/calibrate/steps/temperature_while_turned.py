@@ -1,0 +1,84 @@
+"""The temperature of an IMU while it is turned from rest to rest: what its biases do with it, where that can be told.
+
+A bias that drifts with time looks like one that follows the temperature while that only rises, or only falls. The
+temperature is therefore a candidate for what a bias follows (`estimate.multiposition.bias_changes`) where it did both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...assess.checks.temperature_checks import CHIP_DEGC
+from ...estimate.multiposition.bias_segments import temperature_columns
+from ...estimate.multiposition.fit import MultiPositionFit
+from ...estimate.multiposition.problem import MultiPositionProblem
+from ...frozen import value_class
+from ...recording import Floats, Recording, TemperatureSamples
+from ...recording.thermometer import TemperatureCourse, known_readings, temperature_course
+from ...results.sensors import TemperatureDependence
+
+_BOTH_WAYS_K, _BOTH_WAYS_STEPS, _BOTH_WAYS_SHARE = 4.0, 4.0, 0.3
+"""How far the temperature has to rise, and to fall: in kelvins, steps of the thermometer, and of its range."""
+
+
+@value_class
+class TemperatureSlopes:
+    """Biases that follow the temperature.
+
+    Attributes
+    ----------
+    found : the dependence
+    jacobian : (3 k, p) of its coefficients by the scaled parameters of the fit
+    """
+
+    found: TemperatureDependence
+    jacobian: Floats
+
+
+def chip_temperature(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return mean and range of the first IMU's temperature [degC], as text of the provenance; nothing without one."""
+    imus = [next(iter(one.imus.values())) for one in recordings if one.imus]
+    read = [known_readings(imu.temperature) for imu in imus if imu.temperature is not None]
+    celsius = [one[1] for one in read if one is not None]
+    if not celsius or len(celsius) < len(recordings):
+        return {}
+    mean = float(np.mean([one.mean() for one in celsius]))
+    low, high = (float(pick([pick(one) for one in celsius])) for pick in (np.min, np.max))
+    if not CHIP_DEGC[0] <= mean <= CHIP_DEGC[1]:
+        return {}
+    return {"chip_degc": f"{mean:.2f}", "chip_range_degc": f"{low:.2f} to {high:.2f}"}
+
+
+def course_both_ways(samples: TemperatureSamples | None) -> TemperatureCourse | None:
+    """Return the course of a temperature that rose and fell, both by enough; else None."""
+    read = None if samples is None else known_readings(samples)
+    if samples is None or read is None or np.ptp(read[1]) < _BOTH_WAYS_K:
+        return None
+    course = temperature_course(samples)
+    assert course is not None
+    rise = np.max(course.degc - np.minimum.accumulate(course.degc))
+    fall = np.max(np.maximum.accumulate(course.degc) - course.degc)
+    steps = _BOTH_WAYS_STEPS * float(np.nan_to_num(course.step_k))
+    least = max(_BOTH_WAYS_K, steps, _BOTH_WAYS_SHARE * float(np.ptp(course.degc)))
+    return course if min(rise, fall) >= least else None
+
+
+def temperature_slopes(
+    fit: MultiPositionFit, problem: MultiPositionProblem, reference_degc: float | None
+) -> TemperatureSlopes | None:
+    """Return how the biases follow the temperature in a fit; None where they do not."""
+    columns = temperature_columns(fit.data)
+    if reference_degc is None or fit.data.degc is None or not columns:
+        return None
+    low, high = (reference_degc + float(pick(fit.data.degc[0])) for pick in (np.min, np.max))
+    values: dict[str, Floats] = {}
+    rows = list[Floats]()
+    for triad in ("accelerometer", "gyroscope"):  # as the covariance lists them
+        if triad in columns:
+            spread = getattr(problem, triad).spread
+            values[f"{triad}_bias"] = (spread * fit.state.theta[columns[triad]])[None]
+            rows.append(np.zeros((3, len(fit.free))))
+            rows[-1][np.arange(3), columns[triad]] = spread
+    known = TemperatureDependence(reference_degc=reference_degc, low_degc=low, high_degc=high)
+    return TemperatureSlopes(found=replace(known, **values), jacobian=np.concatenate(rows))
