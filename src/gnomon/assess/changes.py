@@ -24,6 +24,7 @@ _CLOCKS = (".time_shift_cam_imu", ".time_shift_imu")
 _CERTAIN = 3.0
 """Sigmas from which on a quantity of a block that changed counts as changed itself."""
 
+_ROUNDING = 1e-9  # [SI, px]
 _COLUMNS, _ROWS = 16, 12
 OF_HEADING = 2.0
 """Error of a heading over that of the field's direction, where the field dips by 60 deg."""
@@ -215,7 +216,7 @@ def quantity_changes(change: ParameterChange, calibration: Calibration) -> tuple
         )
         for name, size, sigma in _sizes(change, sensor, rest, calibration)
     ]
-    certain = [one for one in found if one.size > _CERTAIN * one.sigma]
+    certain = [one for one in found if one.size > max(_CERTAIN * one.sigma, _ROUNDING)]
     return tuple(certain or sorted(found, key=lambda one: one.sigma / max(one.size, 1e-300))[:1])
 
 

@@ -29,6 +29,7 @@ from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, 
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, to_physical_units
 from ..estimate.multiposition.sums import free_jacobian, segment_sums, with_runs
 from ..estimate.multiposition.unseen_changes import unseen_changes
+from ..estimate.trust.changes import triad_causes
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
@@ -324,6 +325,10 @@ def _trusted(
         biases=_BIASES,
         widened=options.covariance == "robust",
         single=segment_sums(fit, with_runs(fit)),
+        causes={
+            "imu0.accelerometer.sensitivity": triad_causes(estimate.accelerometer_sensitivity, turns=False),
+            "imu0.gyroscope.sensitivity": triad_causes(estimate.gyroscope_sensitivity, turns=True),
+        },
     )
     return trust, np.sqrt(np.diag(from_unseen))
 

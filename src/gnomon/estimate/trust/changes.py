@@ -15,19 +15,23 @@ drawn to the mean of all directions as far as few clusters tell it. T^2 / rank f
 of all looks counts, and so does their number (Bonferroni). Views that may be of another lens each are sorted into two
 kinds, too, by what each tells of a block: any such sorting is a look, of 2^n.
 
+Few rests tell little of all nine scalars of a triad at once. What one cause moves, a turn of the triad in its housing
+or its three scales, is a block of its own: one more look, and three directions in place of nine.
+
 A lens or a board that the model does not quite describe errs by where the board is, and parts of a recording differ in
 that for longer than any cluster lasts. So what the longest clusters certainly show beyond independent errors is taken
 to average out no further.
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from ...frozen import value_class
+from ...geometry.so3 import skew
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.trust import ParameterChange
@@ -120,6 +124,7 @@ def parameter_changes(
     biases: Collection[str] = (),
     judged: Booleans | None = None,
     order: Integers | None = None,
+    causes: Mapping[str, Sequence[Floats]] | None = None,
 ) -> tuple[ParameterChange, ...]:
     """Return the blocks of parameters that changed during a recording, most certain first.
 
@@ -132,6 +137,7 @@ def parameter_changes(
     judged : (m,) bool, scalars that were estimated and are to be judged; all where not given
     order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared, where each is a
         view by itself that may be of another kind than the next; not given where they follow each other in time
+    causes : of a path, matrices (k, q) by which a single cause moves its k scalars, see `triad_causes`
     """
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
@@ -139,6 +145,12 @@ def parameter_changes(
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     sums, jacobian = _followed(sums, jacobian)
     blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
+    paths = np.array([name.partition("[")[0] for name in names], dtype=object)
+    blocks += [
+        _by_cause(block, jacobian, cause[np.searchsorted(np.flatnonzero(paths == block.path), block.rows)])
+        for block in blocks
+        for cause in (causes or {}).get(block.path, ())
+    ]
     courses = _courses(sums.t_s, np.arange(n) if order is None else order)
     looks = len(blocks) * sum(min(len(course), _BORDERS_COUNT) for course in courses)
     scan = _Scan(sums=sums, wandering=wandering, looks=looks, sorting=order is not None)
@@ -149,7 +161,7 @@ def parameter_changes(
             break
         found.append(scan.published(*best, jacobian, names))
         scan = scan.beside(*best)
-        blocks = [other for other in blocks if other is not best[0]]
+        blocks = [other for other in blocks if other.path != best[0].path]
     return tuple(found)
 
 
@@ -369,6 +381,19 @@ def _blocks(
         elif directions.size:
             blocks.append(_Block(path=path, rows=rows, directions=directions))
     return blocks, np.concatenate(free, axis=1) if free else None
+
+
+def triad_causes(sensitivity: Floats, *, turns: bool) -> tuple[Floats, ...]:
+    """Return how the elements of a sensitivity (3, 3) move, (9, 3), by what its scales gain; and as the triad turns."""
+    gain = np.einsum("ki,kj->ijk", np.eye(3), sensitivity).reshape(9, 3)
+    turn = (sensitivity @ skew(np.eye(3))).reshape(3, 9).T
+    return (gain, turn) if turns else (gain,)
+
+
+def _by_cause(block: _Block, jacobian: Floats, cause: Floats) -> _Block:
+    """Return the part of a block that moves its scalars as a cause does, (k, q)."""
+    along = np.linalg.lstsq(jacobian[block.rows] @ block.directions, cause, rcond=None)[0]
+    return replace(block, directions=block.directions @ np.linalg.qr(along)[0])
 
 
 def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:

@@ -1,6 +1,6 @@
 """From pulls and information of stretches of time to sigmas that hold, and to what parts of the recording say."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -67,6 +67,7 @@ def robust_covariance(
     widened: bool = True,
     single: ClusterSums | None = None,
     order: Integers | None = None,
+    causes: Mapping[str, Sequence[Floats]] | None = None,
 ) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
@@ -84,6 +85,7 @@ def robust_covariance(
     widened : whether the covariance from clusters is wanted, not that for independent errors
     single, order : sums of single views, and their numbers as they were recorded, by which changes are looked for;
         those of the stretches where not given
+    causes : see `parameter_changes`
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     block = np.unique(paths, return_inverse=True)[1]
@@ -110,7 +112,9 @@ def robust_covariance(
             sigma=np.sqrt(np.diag(covariance)[estimated]),
             ratios=_ratios(found, paths, estimated) if widened else (),
             splits=comparison.splits(estimated, biased, length),
-            changes=parameter_changes(single or sums, jacobian, names, biases=biases, judged=estimated, order=order),
+            changes=parameter_changes(
+                single or sums, jacobian, names, biases=biases, judged=estimated, order=order, causes=causes
+            ),
         ),
         instabilities=tuple(comparison.instability(path, estimated) for path in biases if (paths == path).any())
         if len(sums) >= 2 * _FEWEST_IN_PART
