@@ -77,6 +77,11 @@ def value_class(cls: Any = None, /, *, eq: bool = False, kw_only: bool = True) -
     return _frozen(cls, eq, kw_only)
 
 
+def field_names(cls: type) -> tuple[str, ...]:
+    """Return the names of the fields of a value class."""
+    return tuple(entry.name for entry in fields(cls))
+
+
 def _frozen(cls: type, eq: bool, kw_only: bool) -> type:
     made: Any = dataclass(init=False, repr=False, eq=False, slots=True, kw_only=kw_only)(cls)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..frozen import field_names
 from ..geometry.so3 import invert_matrix
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..models.noise import ImuNoise
@@ -161,7 +162,7 @@ def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None, remarks
     if stated is not None:
         entry |= stated_entry(stated)
         comments += stated.comments
-    missing = [key for key in (*ImuNoise.__slots__, "update_rate", "rostopic") if key not in entry]
+    missing = [key for key in (*field_names(ImuNoise), "update_rate", "rostopic") if key not in entry]
     if missing:
         comments.append(f"OpenVINS also needs {', '.join(missing)}: add them, or it does not start.")
     head = _HEADER.format(what="IMU intrinsics", them="them (model kalibr)") + _EQUATIONS + remarks

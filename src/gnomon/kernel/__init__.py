@@ -9,7 +9,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 2  # of kernel.c, which `library` is written for
+_INTERFACE = 3  # of kernel.c, which `library` is written for
 
 
 def kernel_file_name() -> str:
@@ -27,7 +27,8 @@ def _library() -> ctypes.CDLL | None:
         found.gnomon_interface.restype = ctypes.c_int64
         if found.gnomon_interface() != _INTERFACE:
             return None
-        for name in ("inertial_rows", "corner_sums", "add_spans", "running_sums", "descend_corners"):
+        loops = ("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "running_sums", "descend_corners")
+        for name in loops:
             found[f"gnomon_{name}"].restype = None
     except (OSError, AttributeError):  # of another processor, damaged, of another version
         return None

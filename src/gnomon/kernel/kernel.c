@@ -1,8 +1,8 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
-   of an exposure, and what is added to the normal equations; running sums for Allan variances; and the fit of corners to
-   the pixels around them. Each does what the
-   NumPy code beside its caller does (estimate/camera_imu/terms, estimate/allan, detect/corners), to rounding; equations
-   and names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
+   of an exposure, and what is added to the normal equations; rotations from rates; running sums for Allan variances; and
+   the fit of corners to the pixels around them. Each does what the NumPy code beside its caller does
+   (estimate/camera_imu/terms, estimate/multiposition, estimate/allan, detect/corners), to rounding; equations and names
+   are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
 #include <math.h>
 #include <stdint.h>
@@ -28,7 +28,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 2 /* changes whenever the arguments of a function do */
+#define INTERFACE 3 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -560,6 +560,69 @@ CLONES EXPORT void gnomon_corner_sums(int64_t e, int64_t m, const int64_t *start
             for (int64_t j = i; j < w; j++) gram[i * w + j] = gram[j * w + i] = upper[i * stride + j];
         cost[k] = total, count[k] = seen;
         square[k] = seen ? squared / (2.0 * (double)seen) : NAN;
+    }
+}
+
+/* rotations from rates (estimate/multiposition/rotations.py) */
+
+#define REGRESSORS 7 /* of a rate: the measured one, a one, the specific force */
+
+static inline void hamilton(const double *a, const double *b, double *out) {
+    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
+    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
+    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
+    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
+}
+
+/* The quaternion of one step of RK4n from the rates at its ends, as in geometry/quaternion.py. */
+static inline void rk4n_step(const double *omega0, const double *omega1, double dt, double *step) {
+    double start[4] = {0.0}, end[4] = {0.0}, middle[4] = {0.0}, k2[4], k3[4], k4[4], square = 0.0;
+    for (int i = 0; i < 3; i++) {
+        start[i + 1] = 0.5 * dt * omega0[i], end[i + 1] = 0.5 * dt * omega1[i];
+        middle[i + 1] = 0.5 * (start[i + 1] + end[i + 1]);
+    }
+    hamilton(start, middle, k2);
+    for (int i = 0; i < 4; i++) k2[i] = 0.5 * k2[i] + middle[i];
+    hamilton(k2, middle, k3);
+    for (int i = 0; i < 4; i++) k3[i] = 0.5 * k3[i] + middle[i];
+    hamilton(k3, end, k4);
+    for (int i = 0; i < 4; i++) {
+        step[i] = (start[i] + 2.0 * (k2[i] + k3[i]) + k4[i] + end[i]) / 6.0 + (i == 0);
+        square += step[i] * step[i];
+    }
+    for (int i = 0; i < 4; i++) step[i] /= sqrt(square);
+}
+
+static inline void rotation_from_quaternion(const double *q, double *out) {
+    const double w = q[0], x = q[1], y = q[2], z = q[3];
+    out[0] = w * w + x * x - y * y - z * z, out[1] = 2 * (x * y - w * z), out[2] = 2 * (x * z + w * y);
+    out[3] = 2 * (x * y + w * z), out[4] = w * w - x * x + y * y - z * z, out[5] = 2 * (y * z - w * x);
+    out[6] = 2 * (x * z - w * y), out[7] = 2 * (y * z + w * x), out[8] = w * w - x * x - y * y + z * z;
+}
+
+/* The rotations (m, 9) of m segments of rates, and their sensitivities (m, 9, REGRESSORS), if regressors are given. */
+CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, const double *omega, const double *dt,
+                                          const double *regressors, double *rotation, double *sensitivity) {
+    for (int64_t k = 0; k < m; k++, rotation += 9, sensitivity += 9 * REGRESSORS) {
+        double q[4] = {1.0, 0.0, 0.0, 0.0}, before = 0.0;
+        memset(sensitivity, 0, 9 * REGRESSORS * sizeof(double));
+        for (int64_t i = 0; i < lengths[k]; i++, omega += 3, dt++) {
+            if (regressors) {
+                double path[9];
+                rotation_from_quaternion(q, path);
+                for (int r = 0; r < 9; r++)
+                    for (int c = 0; c < REGRESSORS; c++)
+                        sensitivity[REGRESSORS * r + c] += 0.5 * (before + *dt) * path[r] * regressors[c];
+                regressors += REGRESSORS, before = *dt;
+            }
+            if (i + 1 < lengths[k]) {
+                double step[4], product[4];
+                rk4n_step(omega, omega + 3, *dt, step);
+                hamilton(q, step, product);
+                memcpy(q, product, sizeof(q));
+            }
+        }
+        rotation_from_quaternion(q, rotation);
     }
 }
 

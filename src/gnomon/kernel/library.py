@@ -161,6 +161,25 @@ def add_spans(
     )
 
 
+def integrate_segments(
+    lengths: Integers, omega: Floats, dt_s: Floats, regressors: Floats | None
+) -> tuple[Floats, Floats]:
+    """Return rotations (m, 3, 3) and sensitivities (m, 3, 3, 7) of segments; see `integrate_rates` of the estimation.
+
+    Parameters
+    ----------
+    lengths : (m,) samples of the segments
+    omega, dt_s, regressors : (n, 3) [rad/s], (n,) [s], (n, 7) or None: of the samples
+    """
+    library = load_kernel()
+    assert library is not None
+    rotation, sensitivity = np.empty((len(lengths), 3, 3)), np.empty((len(lengths), 3, 3, 7))
+    library.gnomon_integrate_rates(
+        *(_long(len(lengths)), *map(_at, (lengths, omega, dt_s, regressors)), _out(rotation), _out(sensitivity))
+    )
+    return rotation, sensitivity
+
+
 def running_sums(samples: Floats) -> Floats:
     """Return the running sums (3, n + 1) of samples (n, 3), without the line from their first to their last value."""
     library = load_kernel()

@@ -20,7 +20,7 @@ from typing import Self
 
 import numpy as np
 
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.quaternion import Floats
 from ..geometry.so3 import skew
 from .scenarios.camera_imu import CameraImuScenario, MotionName
@@ -92,7 +92,7 @@ class CameraPath:
         if len(parts) == 1:
             return parts[0]
         return RigidMotion(
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in RigidMotion.__slots__}
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in field_names(RigidMotion)}
         )
 
     def pose(self, t_s: Floats) -> tuple[Floats, Floats]:

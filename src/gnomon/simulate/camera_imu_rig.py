@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.camera import Camera
@@ -131,7 +131,7 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator, furth
     preset = NOISE[scenario.imu]
     noise: dict[str, float] = {}
     nominal: dict[str, float] = {}
-    for name in ImuNoise.__slots__:
+    for name in field_names(ImuNoise):
         stated = getattr(scenario, name)
         noise[name] = scenario.noise_factor * (getattr(preset, name) if stated is None else stated)
         nominal[name] = noise[name] or getattr(preset, name)

@@ -12,7 +12,7 @@ senses that turn.
 
 import numpy as np
 
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from .scenarios.recorded import Scenario
@@ -165,7 +165,7 @@ def _touches(
 def _merged(first: Motions, second: Motions) -> Motions:
     order = np.argsort(np.concatenate([first.start_s, second.start_s]))
     return Motions(
-        **{name: np.concatenate([getattr(first, name), getattr(second, name)])[order] for name in Motions.__slots__}
+        **{name: np.concatenate([getattr(first, name), getattr(second, name)])[order] for name in field_names(Motions)}
     )
 
 

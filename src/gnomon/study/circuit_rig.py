@@ -9,7 +9,7 @@ from ..assess.needs import achieved_quantities
 from ..calibrate.camera_imu import calibrate_camera_imu
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.target import Target
 from ..options import CameraImuOptions, ImuOptions
@@ -190,7 +190,7 @@ def _seen_room(simulation: CameraImuSimulation, points: Floats, rng: np.random.G
         stated=truth.camera,
         exposure_s=simulation.frames["cam0"].exposure_s,
         clock_offset_s=0.0,
-        streams=FrameStreams(**dict(zip(FrameStreams.__slots__, rng.spawn(6), strict=True))),
+        streams=FrameStreams(**dict(zip(field_names(FrameStreams), rng.spawn(6), strict=True))),
     )
     return frames
 

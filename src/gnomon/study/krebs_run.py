@@ -7,7 +7,7 @@ import numpy as np
 
 from ..calibrate.camera_imu import calibrate_camera_imu
 from ..errors import GnomonError
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, LOWER
@@ -200,7 +200,7 @@ def sense_motion(simulation: CameraImuSimulation, rig: KrebsRig, weighed_as: flo
 
 
 def _table_a1(factor: float) -> ImuNoise:
-    return ImuNoise(**{name: factor * getattr(THESIS_NOISE, name) for name in ImuNoise.__slots__})
+    return ImuNoise(**{name: factor * getattr(THESIS_NOISE, name) for name in field_names(ImuNoise)})
 
 
 def _felt(simulation: CameraImuSimulation, rig: KrebsRig) -> tuple[Floats, Floats]:

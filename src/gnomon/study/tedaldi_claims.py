@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..frozen import field_names
 from ..recording import Floats
 from .tables import Cell, Claim, StudyTable, claims_table, sigmas_claim
 from .tedaldi import TedaldiStudy, known_mean
@@ -196,7 +197,7 @@ def _parameter_rows(study: TedaldiStudy) -> Iterator[tuple[Cell, ...]]:
 
 def _signal_columns() -> Iterator[tuple[str, str]]:
     units = {"force": "m/s^2", "rate": "rad/s", "divergence": "m/s^2", "rotation": "m/s^2", "drift": "m/s^2"}
-    for name in SignalErrors.__slots__:
+    for name in field_names(SignalErrors):
         parts = ("x", "y", "z") if name in ("force", "rate") else ("mean", "largest")
         for part in parts:
             yield name, f"{part} [{units.get(name, 'rad')}]"
@@ -204,7 +205,7 @@ def _signal_columns() -> Iterator[tuple[str, str]]:
 
 def _signal_rows(study: TedaldiStudy) -> Iterator[tuple[Cell, ...]]:
     for method in _BEFORE:
-        values = np.concatenate([study.signals(method, name) for name in SignalErrors.__slots__], axis=2)
+        values = np.concatenate([study.signals(method, name) for name in field_names(SignalErrors)], axis=2)
         for number, recordings in enumerate(values, 1):
             for run, row in enumerate(recordings, 1):
                 yield number, run, method or "uncalibrated", *map(float, row)

@@ -11,7 +11,7 @@ import numpy as np
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
-from ..frozen import value_class
+from ..frozen import field_names, value_class
 from ..geometry.so3 import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
@@ -146,7 +146,7 @@ def ideal_signals(task: TedaldiTrial, truth: Calibration) -> TrueSignals:
     return replace(signals, force=signals.force @ turn.T, rate=signals.rate @ turn.T)
 
 
-_SIZES = {name: 3 if name in ("force", "rate") else 2 for name in SignalErrors.__slots__}
+_SIZES = {name: 3 if name in ("force", "rate") else 2 for name in field_names(SignalErrors)}
 
 
 def calibrate_recording(recording: Recording, method: Method, gravity: float) -> Calibration:

@@ -14,6 +14,7 @@ from gnomon import kernel
 from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.products import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
+from gnomon.estimate.multiposition.rotations import MotionSegments, integrate_rates
 
 ROOT = Path(__file__).parents[3]
 compiled = pytest.mark.skipif(kernel.load_kernel() is None, reason="the kernel was not compiled")
@@ -73,6 +74,26 @@ def test_running_sums_are_those_of_numpy(monkeypatch):
         np.testing.assert_allclose(one.means, plain.means, rtol=1e-12)
         np.testing.assert_allclose(one.totals, plain.totals, rtol=1e-12, atol=1e-13)
         assert one.slope == pytest.approx(plain.slope, rel=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("sensitive", [True, False])
+def test_rotations_are_those_of_numpy(sensitive, monkeypatch):
+    rng = np.random.default_rng(6)
+    lengths = np.array([40, 1, 2, 300])
+    n = lengths.sum()
+    dt_s = rng.uniform(0.005, 0.015, n)
+    dt_s[np.cumsum(lengths) - 1] = 0.0
+    regressors = np.concatenate([rng.normal(0, 3, (n, 3)), np.ones((n, 1)), rng.normal(0, 9, (n, 3))], axis=1)
+    segments = MotionSegments(gyroscope=regressors[:, :3], accelerometer=regressors[:, 4:], dt_s=dt_s, lengths=lengths)
+    found = []
+    for switch in ("1", "0"):
+        monkeypatch.setenv("GNOMON_KERNEL", switch)
+        found.append(integrate_rates(segments, regressors[:, :3], regressors if sensitive else None))
+    fast, plain = found
+    np.testing.assert_allclose(fast.rotation, plain.rotation, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(fast.sensitivity, plain.sensitivity, rtol=1e-12, atol=1e-12)
+    assert sensitive == fast.sensitivity.any()
 
 
 @compiled

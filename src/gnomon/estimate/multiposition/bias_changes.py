@@ -10,6 +10,7 @@ not taken for many steps, and a step not for wander.
 
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _MOST = 8  # changes
 _EXTRA = (0.0, 1.0, 10.0, 100.0, 1e4)  # variance of the scatter, in units of the white noise
 _WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over the recording, in the same unit
 _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
+_NUMBERS = 300_000  # that are held at once for some kinds of noise
 DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
 _SLOW = slice(3, None, 3)  # of these, which together are much like any drift in time: the temperature has to tell more
 _FINER_DECAYS = np.array([0.7, 0.84, 1.0, 1.19, 1.41]), np.array([0.92, 0.96, 1.0, 1.04, 1.08])  # times the best
@@ -313,16 +315,16 @@ def _blocks(series: _Series, candidates: _Candidates) -> Floats:
 
 @value_class
 class _Whitened:
-    """Series and candidates divided by the root of one kind of noise.
+    """Series and candidates divided by the root of some kinds of noise.
 
     Attributes
     ----------
-    root : (n, n) inverse root of the noise
-    y, design : (n, a), (n, p)
-    columns : (n, c d) of the candidates
+    root : (k, n, n) inverse roots of the kinds of noise
+    y, design : (k, n, a), (k, n, p)
+    columns : (k, n, c d) of the candidates
     pulls : d
     typical : (a,) variance of white noise
-    logdet : of the noise over `typical`
+    logdet : (k, 1) of the noise over `typical`
     """
 
     root: Floats
@@ -331,11 +333,14 @@ class _Whitened:
     columns: Floats
     pulls: int
     typical: Floats
-    logdet: float
+    logdet: Floats
 
 
 def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> list[_Whitened]:
-    """Return the series by each kind of noise on the grid; the parts of one rest have its scatter in common."""
+    """Return the series by each kind of noise on the grid, as many at once as memory bears.
+
+    The parts of one rest have its scatter in common.
+    """
     (n, d), t_s = series.pull.shape, rests.t_s
     typical = np.median(series.variance, axis=0)
     white = np.mean(series.variance / typical, axis=1)
@@ -343,56 +348,75 @@ def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> lis
     walk = np.minimum(since[:, None], since) * (series.pull @ series.pull.T) / np.mean(series.pull**2) / d
     blocks = _blocks(series, candidates).reshape(n, -1)
     scatter = (rests.rest[:, None] == rests.rest).astype(np.float64)
-    extra, walks = (_EXTRA, _WALK) if n <= _MANY else (_FEW_EXTRA, _FEW_WALK)
+    kinds = np.array(list(product(_EXTRA, _WALK) if n <= _MANY else product(_FEW_EXTRA, _FEW_WALK)))
+    at_once = max(1, _NUMBERS // (n * (n + blocks.shape[1])))
     found: list[_Whitened] = []
-    for a in extra:
-        for b in walks:
-            factor = np.linalg.cholesky(np.diag(white) + a * scatter + b * walk)
-            root = np.linalg.inv(factor)
-            found.append(
-                _Whitened(
-                    root=root,
-                    y=root @ series.y,
-                    design=root @ series.design,
-                    columns=root @ blocks,
-                    pulls=d,
-                    typical=typical,
-                    logdet=2 * float(np.sum(np.log(np.diag(factor)))),
-                )
+    for some in np.split(kinds, range(at_once, len(kinds), at_once)):
+        a, b = some.T[:, :, None, None]
+        factor = np.linalg.cholesky(np.diag(white) + a * scatter + b * walk)
+        root = np.linalg.inv(factor)
+        found.append(
+            _Whitened(
+                root=root,
+                y=root @ series.y,
+                design=root @ series.design,
+                columns=root @ blocks,
+                pulls=d,
+                typical=typical,
+                logdet=2 * np.sum(np.log(np.einsum("knn->kn", factor)), axis=1)[:, None],
             )
+        )
     return found
 
 
-def _likelihood(squares: Floats, freedom: int, one: _Whitened) -> Floats:
+def _likelihood(squares: Floats, freedom: Floats, logdet: Floats, typical: Floats) -> Floats:
     """Return log-likelihoods by sums of squares (..., a), the scale the best one that is not below the known noise."""
-    relative = squares / one.typical
+    relative = squares / typical
     scale = np.maximum(relative / freedom, _LEAST_SCALE)
-    return np.asarray(-0.5 * (relative / scale + freedom * np.log(scale) + one.logdet), dtype=np.float64)
+    return np.asarray(-0.5 * (relative / scale + freedom * np.log(scale) + logdet), dtype=np.float64)
 
 
 def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int]) -> Floats:
     """Return by how much each candidate raises the log-likelihood, (c,)."""
-    n, axes = whitened[0].y.shape
-    d = whitened[0].pulls
+    axes, d = whitened[0].y.shape[2], whitened[0].pulls
     base, raised = np.full(axes, -np.inf), np.full((len(candidates.kind), axes), -np.inf)
-    own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
-    for one in whitened:
-        q = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
-        left = one.y - q @ (q.T @ one.y)
-        columns = one.columns - q @ (q.T @ one.columns)
-        size = np.sum(one.columns**2, axis=0).reshape(-1, d)
-        cross = (columns.T @ left).reshape(-1, d, axes)
-        columns = columns.reshape(n, -1, d)
-        gram = np.stack([[np.sum(columns[:, :, i] * columns[:, :, j], axis=0) for i in range(d)] for j in range(d)])
-        gram = np.moveaxis(gram, 2, 0).copy()
+    for some in whitened:
+        q, left, freedom = _without(some, taken)
+        columns = some.columns - q @ (_across(q) @ some.columns)
+        kinds, n = columns.shape[:2]
+        size = np.sum(some.columns**2, axis=1).reshape(kinds, -1, d)
+        cross = (_across(columns) @ left).reshape(kinds, -1, d, axes)
+        gram = _products(columns.reshape(kinds, n, -1, d))
         # What the design explains already, or nothing moves, is no candidate.
-        told = np.einsum("cdd->cd", gram) > 1e-6 * size
-        gram += np.where(told, 1e-9 * size + 1e-300, np.maximum(size, 1.0) * 1e12)[:, :, None] * np.eye(d)
-        explained = np.sum(cross * np.linalg.solve(gram, cross), axis=1)
-        squares, freedom = np.sum(left**2, axis=0), max(n - q.shape[1], 1)
-        base = np.maximum(base, _likelihood(squares, freedom, one))
-        raised = np.maximum(raised, _likelihood(np.maximum(squares - explained, 0.0), freedom, one))
+        told = np.einsum("kcdd->kcd", gram) > 1e-6 * size
+        gram += np.where(told, 1e-9 * size + 1e-300, np.maximum(size, 1.0) * 1e12)[..., None] * np.eye(d)
+        explained = np.sum(cross * np.linalg.solve(gram, cross), axis=2)
+        squares = np.sum(left**2, axis=1)
+        base = np.maximum(base, _likelihood(squares, freedom, some.logdet, some.typical).max(axis=0))
+        lower, of_one = np.maximum(squares[:, None] - explained, 0.0), (slice(None), None)
+        likelier = _likelihood(lower, freedom[of_one], some.logdet[of_one], some.typical)
+        raised = np.maximum(raised, likelier.max(axis=0))
     return np.asarray(np.sum(raised - base, axis=1), dtype=np.float64)
+
+
+def _without(some: _Whitened, taken: Sequence[int]) -> tuple[Floats, Floats, Floats]:
+    """Return an orthonormal basis of the model (k, n, p), what it leaves of y (k, n, a), and its freedom (k, 1)."""
+    own = (some.pulls * np.array(taken, dtype=np.int64)[:, None] + np.arange(some.pulls)).ravel()
+    q, rank = _orthonormal(np.concatenate([some.design, some.columns[:, :, own]], axis=2))
+    return q, some.y - q @ (_across(q) @ some.y), np.maximum(some.y.shape[1] - rank, 1.0)[:, None]
+
+
+def _across(matrices: Floats) -> Floats:
+    return np.swapaxes(matrices, -1, -2)
+
+
+def _products(columns: Floats) -> Floats:
+    """Return the products of the columns of each candidate, summed over the means: (k, c, d, d) of (k, n, c, d)."""
+    kinds, _, count, d = columns.shape
+    found = np.empty((kinds, count, d, d))
+    for i, j in combinations_with_replacement(range(d), 2):
+        found[..., i, j] = found[..., j, i] = np.einsum("knc,knc->kc", columns[..., i], columns[..., j])
+    return found
 
 
 def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequence[int]) -> int:
@@ -400,48 +424,50 @@ def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequenc
 
     Where one side has too few static intervals for nine parameters, a common factor stands for scales and axes.
     """
-    n, d = series.pull.shape
-    own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
+    n = len(series.pull)
     cuts = np.arange(_FEW, n - _FEW + 1)
     few = np.minimum(cuts, n - cuts) < _ENOUGH
     without, given = -np.inf, np.full(len(cuts), -np.inf)
-    for one in whitened:
-        base = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
-        left = one.y - base @ (base.T @ one.y)
-        squares, freedom = np.sum(left**2, axis=0), max(n - base.shape[1], 1)
-        without = max(without, float(np.sum(_likelihood(squares, freedom, one))))
+    for some in whitened:
+        base, left, freedom = _without(some, taken)
+        squares = np.sum(left**2, axis=1)
+        likelihood = _likelihood(squares, freedom, some.logdet, some.typical)
+        without = max(without, float(likelihood.sum(axis=1).max()))
         for chosen, before in ((few, np.column_stack([np.ones(n), series.pull])), (~few, series.design)):
-            rest = np.maximum(squares - _explained_before(one, base, left, before, cuts[chosen]), 0.0)
-            given[chosen] = np.maximum(given[chosen], np.sum(_likelihood(rest, freedom, one), axis=1))
+            explained = _explained_before(some, base, left, before, cuts[chosen])
+            rest = np.maximum(squares[:, None] - explained, 0.0)
+            likelihood = _likelihood(rest, freedom[:, None], some.logdet[:, None], some.typical)
+            given[chosen] = np.maximum(given[chosen], likelihood.sum(axis=2).max(axis=0))
     gains = given - without - (np.log(n) + 0.5 * np.where(few, 4, 9) * np.log(n) + _MARGIN)
     best = int(np.argmax(gains)) if len(cuts) else -1
     return int(cuts[best]) if best >= 0 and gains[best] > 0 else 0
 
 
-def _explained_before(one: _Whitened, base: Floats, left: Floats, before: Floats, cuts: Integers) -> Floats:
-    """Return the squares that parameters of their own explain before each of some static intervals, (k, axes).
+def _explained_before(some: _Whitened, base: Floats, left: Floats, before: Floats, cuts: Integers) -> Floats:
+    """Return the squares that parameters of their own explain before each of some static intervals, (k, cuts, axes).
 
     Parameters
     ----------
-    base : (n, p) orthonormal, of what is in the model already, which leaves `left` (n, axes)
+    base : (k, n, p) orthonormal, of what is in the model already, which leaves `left` (k, n, axes)
     before : (n, c) derivatives by these parameters
-    cuts : (k,) numbers of static intervals
+    cuts : numbers of static intervals
     """
-    columns = np.moveaxis(np.cumsum(one.root[:, :, None] * before, axis=1)[:, cuts - 1], 1, 0)
+    kinds, n, count = len(base), *before.shape
+    columns = np.cumsum(some.root[:, :, :, None] * before, axis=2)[:, :, cuts - 1].reshape(kinds, n, -1)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
-    columns = columns / np.where(size > 0, size, 1.0)
-    columns = columns - base @ (base.T @ columns)
-    across = np.swapaxes(columns, 1, 2)
-    by_left = across @ left
-    gram = across @ columns + _TOLD * np.eye(before.shape[1])
-    return np.sum(by_left * np.linalg.solve(gram, by_left), axis=1)
+    columns /= np.where(size > 0, size, 1.0)
+    columns -= base @ (_across(base) @ columns)
+    by_left = (_across(columns) @ left).reshape(kinds, len(cuts), count, -1)
+    gram = _products(columns.reshape(kinds, n, len(cuts), count)) + _TOLD * np.eye(count)
+    return np.sum(by_left * np.linalg.solve(gram, by_left), axis=2)
 
 
-def _orthonormal(design: Floats) -> Floats:
-    """Return an orthonormal basis of what the columns span."""
-    size = np.linalg.norm(design, axis=0)
-    u, s, _ = np.linalg.svd(design[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)], dtype=np.float64)
+def _orthonormal(design: Floats) -> tuple[Floats, Floats]:
+    """Return orthonormal bases (k, n, p) of what the columns span, filled up with zeros, and their ranks (k,)."""
+    size = np.linalg.norm(design, axis=1, keepdims=True)
+    u, s, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
+    kept = s > 1e-9 * s.max(axis=1, keepdims=True, initial=0.0)
+    return u * kept[:, None], kept.sum(axis=1).astype(np.float64)
 
 
 def _moved(series: _Series, candidates: _Candidates, taken: Sequence[int]) -> Floats:

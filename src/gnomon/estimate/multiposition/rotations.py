@@ -8,6 +8,8 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from ...kernel import load_kernel
+from ...kernel.library import integrate_segments
 from ...recording import Floats, Integers, frozen_array
 
 _PART = 100_000  # samples
@@ -126,6 +128,9 @@ def integrate_rates(segments: MotionSegments, omega: Floats, regressors: Floats 
     omega : (n, 3) [rad/s] at the samples of the segments
     regressors : (n, 7) z of the module's head; no sensitivity is computed where it is not given
     """
+    if load_kernel() is not None:
+        rotation, sensitivity = integrate_segments(segments.lengths, omega, segments.dt_s, regressors)
+        return Turns(rotation=rotation, sensitivity=sensitivity)
     parts = [
         _integrate_part(
             segments.part(rotations, samples), omega[samples], None if regressors is None else regressors[samples]

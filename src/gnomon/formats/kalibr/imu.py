@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...frozen import value_class
+from ...frozen import field_names, value_class
 from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...recording import Floats
@@ -120,7 +120,7 @@ def _positive(node: Node) -> float:
     return value
 
 
-_NOISE = tuple(ImuNoise.__slots__)
+_NOISE = field_names(ImuNoise)
 _RATES = ("update_rate", "rate_hz")
 _OTHERS = ("rostopic", "T_i_b", "time_offset", *_NOISE, *_RATES)
 _MODELS = ("calibrated", "scale-misalignment", "scale-misalignment-size-effect")
@@ -349,7 +349,7 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
         if name in stated:
             document[name] |= stated_entry(stated[name])
             comments += [f"{name}: {line}" for line in stated[name].comments]
-    keys = (*ImuNoise.__slots__, "update_rate", "rostopic")
+    keys = (*field_names(ImuNoise), "update_rate", "rostopic")
     missing = [key for key in keys if any(key not in entry for entry in document.values())]
     if missing:
         comments.append(f"Kalibr also needs {', '.join(missing)}: add them before you use this file as its input.")

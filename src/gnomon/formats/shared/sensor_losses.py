@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ...errors import OptionError
-from ...frozen import value_class
+from ...frozen import field_names, value_class
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
@@ -256,7 +256,7 @@ def _triad_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
 
 
 def _noise_losses(stated: StatedImu, holds: Holds) -> Iterator[Loss]:
-    missing = [*(() if stated.noise else ImuNoise.__slots__), *(() if stated.update_rate_hz else ("update_rate",))]
+    missing = [*(() if stated.noise else field_names(ImuNoise)), *(() if stated.update_rate_hz else ("update_rate",))]
     if missing:
         yield Loss(
             what="noise and rate" if not stated.noise else "rate",
