@@ -73,6 +73,10 @@ def test_stamps_of_a_video(real_data):
     assert "timestamps of 11 payloads (largest deviation 0.021 ms)" in said
     assert "turned by up to 19.4 degrees" in said
     assert "31.1 to 31.8 degrees Celsius" in said
+    warm = recording.imus["imu0"].temperature
+    assert len(warm) == 11
+    assert (warm.values.min().round(1), warm.values.max().round(1)) == (31.1, 31.8)
+    np.testing.assert_allclose(np.diff(warm.t_ns[:-1]) * 1e-9, 1.001, atol=0.01)
 
 
 def test_axes_are_right_handed_and_common_to_both(real_data):

@@ -72,6 +72,29 @@ def test_sensor_logger_on_android(android, tmp_path):
     assert [source.name for source in gnomon.read(tmp_path / "a.zip").sources] == ["a.zip"]
 
 
+def test_the_phones_thermometer(android, tmp_path):
+    assert imu_of(android).temperature is None
+    warm = 30 + T[::50] / 10
+    rows = zip(EPOCH_NS + 1e9 * T[::50], T[::50], warm, strict=True)
+    table(android / "BatteryTemp.csv", "time,seconds_elapsed,temperature", rows)
+    for path in (android, zipped(android, tmp_path / "warm.zip")):
+        found = imu_of(path).temperature
+        np.testing.assert_allclose(found.values, warm, atol=1e-6)
+        np.testing.assert_allclose((found.t_ns - EPOCH_NS) * 1e-9, T[::50], atol=1e-6)
+        assert "BatteryTemp.csv: temperatures of the phone" in said_of(path)
+
+
+def test_phyphox_with_a_thermometer(tmp_path):
+    folder = tmp_path / "warm"
+    phyphox(folder / "Accelerometer.csv", "Acceleration", "m/s^2", T, FORCE)
+    phyphox(folder / "Gyroscope.csv", "Gyroscope", "rad/s", T, RATE)
+    rows = zip(T[::50], 20 + T[::50], strict=True)
+    table(folder / "Temperature.csv", '"Time (s)","Temperature (°C)"', rows)
+    found = imu_of(folder).temperature
+    np.testing.assert_allclose(found.values, 20 + T[::50], atol=1e-6)
+    assert found.unit == "degC"
+
+
 def test_total_acceleration_comes_before_what_is_put_together(android):
     (android / "AccelerometerUncalibrated.csv").unlink()
     same(imu_of(android).accelerometer, T, FORCE + 0.01, "m/s^2")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import Source, measurable_numbers
+from ...recording import Source, TemperatureSamples, measurable_numbers
 from ..files import file_source, is_mp4_head
 from ..samples.column_names import unit_of
 from ..samples.table import Triad
@@ -58,6 +58,7 @@ def _read(path: Path) -> DeviceLog:
         accelerometer=accelerometer,
         gyroscope=gyroscope,
         magnetometer=reading.triad("MAGN") if reading.device.of("MAGN") else None,
+        temperature=reading.temperature(),
         sources=(source,),
         notes=tuple(reading.notes + notes_on_video(reading.device, path.name, video=times is not None)),
     )
@@ -218,6 +219,18 @@ class _Reading:
             raise RecordingError(f"{self.name}: found {int(good.sum())} samples of the {sensor}; a recording has many.")
         unit = self._unit(blocks, sensor)
         return clock.t_ns[good], Triad(quantity=sensor, values=values[good], unit=unit)
+
+    def temperature(self) -> TemperatureSamples | None:
+        """Return the gyroscope's temperature, once a payload, at the middle of it; None where it is not stated."""
+        blocks = self.device.of("GYRO")
+        celsius = np.array([block.temperature for block in blocks])
+        known = np.isfinite(celsius)
+        if not known.any():
+            return None
+        counts = np.array([len(block.values) for block in blocks])
+        middle = np.cumsum(counts) - (counts + 1) // 2
+        t_ns = sample_clock(blocks, self.times, self._origin_s).t_ns[middle]
+        return TemperatureSamples(t_ns=t_ns[known], values=celsius[known], unit="degC")
 
     def _unit(self, blocks: tuple[PayloadBlock, ...], sensor: str) -> str | None:
         """Return the unit as the file states it, or None."""

@@ -12,7 +12,7 @@ from ...recording import Floats, Integers, TemperatureSamples
 from ...units import Units
 from ..files import TextFile
 from .column_help import HELP, columns_help, time_help
-from .column_names import Roles, column_name, column_roles, unit_of
+from .column_names import Roles, column_name, column_roles, time_columns, unit_of
 from .printed_lines import lines_as_table
 from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
@@ -164,6 +164,24 @@ def temperature_samples(t_ns: Integers, values: Floats, unit: str | None) -> tup
     found = "K" if kelvin else "degC" if chip else "count"
     note = f"temperature in {found} (its median is {middle:.4g}; the file does not say)."
     return TemperatureSamples(t_ns=t_ns, values=values, unit=found), note
+
+
+def read_thermometer(file: TextFile) -> TemperatureSamples | None:
+    """Read a table of a thermometer alone; None where it is none.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged.
+    """
+    layout = sniff_layout(file)
+    names = [column_name(text) for text in layout.header]
+    warm = next(((i, name.unit) for i, name in enumerate(names) if name.quantity == "temperature"), None)
+    if warm is None or not {name.quantity for name in names} <= {"time", "temperature", "other"}:
+        return None
+    used = Roles(time=time_columns(names, layout), triads=(), temperature=warm)
+    data, _ = _parse(file, layout, used)
+    return temperature_samples(_stamps(file, used, data, None)[0], data[warm[0]], warm[1])[0]
 
 
 def _column_words(layout: TextLayout, used: Roles) -> list[str]:
