@@ -1,6 +1,7 @@
 """Calibrations of one rig, from wherever they come -> Comparison."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
 from ..formats.foreign import ForeignCalibration
 from ..formats.foreign_files import load_any, source_names
+from ..results.at_temperature import imus_at_temperature
 from ..results.calibration import Calibration
 from ..results.result import Result
 
@@ -64,8 +66,10 @@ def compare(
 
 def _loaded(source: CalibrationSource, temperature_c: float | None) -> Calibration | ForeignCalibration:
     known = _read(source)
-    if temperature_c is None or isinstance(known, ForeignCalibration):
+    if temperature_c is None:
         return known
+    if isinstance(known, ForeignCalibration):
+        return replace(known, imus=imus_at_temperature(known.imus, known.cameras, temperature_c).imus)
     return known.at_temperature(temperature_c)
 
 

@@ -11,13 +11,13 @@ from numpy.polynomial import Polynomial
 
 from ..results.calibration import Calibration, ImuCalibration
 from .shared.flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
+from .shared.flight_temperature import ARDUPILOT_REFERENCE_DEGC
 from .shared.losses import Context, Export, Loss
 from .shared.si_units import si_conversions
 
 FILE = "ardupilot.param"
 
 _IMUS = 3
-_REFERENCE_DEGC = 35.0
 _SCALES, _LARGEST_OFFSET = (0.8, 1.2), 3.5  # ranges of its parameters [1], [m/s^2]
 _HEAD = """\
 # Sensor calibration for ArduPilot, made by gnomon. With samples a [m/s^2] and y [rad/s] as the drivers give them, axis
@@ -68,7 +68,7 @@ def _temperature(index: int, imu: ImuCalibration) -> Iterator[tuple[str, float]]
         moved = np.zeros((3, 3))
         if coefficients is not None:
             whole = np.concatenate([np.zeros((1, 3)), coefficients * conversion.factor])
-            about = Polynomial([_REFERENCE_DEGC - found.reference_degc, 1.0])  # T - T_ref by T - 35
+            about = Polynomial([ARDUPILOT_REFERENCE_DEGC - found.reference_degc, 1.0])  # T - T_ref by T - 35
             for axis in range(3):
                 shifted = np.asarray(Polynomial(whole[:, axis])(about).coef[1:], dtype=np.float64)
                 moved[: len(shifted), axis] = 1e6 * shifted

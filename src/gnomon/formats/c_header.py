@@ -142,7 +142,7 @@ def _constants(imu: str, calibration: ImuCalibration) -> str:
                 f"/* S^-1 of the {name} [{physical} per {triad.unit}] */",
                 _matrix(f"gnomon_{imu}_{name}_correction", invert_matrix(triad.sensitivity)),
                 f"/* b of the {name} [{triad.unit}], the sum of two floats */",
-                _vector(f"gnomon_{imu}_{name}_bias", triad.bias),
+                _vector(f"gnomon_{imu}_{name}_bias", bias.astype(np.float64)),
                 _vector(f"gnomon_{imu}_{name}_bias_rest", triad.bias - bias),
             ]
     if calibration.gyroscope is not None:
@@ -235,5 +235,5 @@ def _row(values: Floats) -> str:
 
 
 def _literal(value: float) -> str:
-    text = f"{float(np.float32(value)):.9g}"
+    text = repr(float(value))
     return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"

@@ -87,6 +87,70 @@ def test_ardupilots_formula_takes_off_the_same(calibration, tmp_path):
         assert np.allclose(off, FOUND.change(part, DEGC), rtol=1e-9, atol=1e-13)
 
 
+def coefficients_in_c(text, name):
+    """Return the numbers of an array of the header as they stand there."""
+    found = re.search(rf"gnomon_imu0_{name}\[[^=]*= ([^;]*);", text)
+    return np.array([float(number) for number in re.findall(r"(-?[\d.]+(?:e[-+]\d+)?)f", found[1])])
+
+
+@pytest.mark.parametrize("program", ["json", "csv", "px4", "ardupilot", "c-header"])
+def test_every_export_is_within_a_millionth_of_a_sigma(calibration, tmp_path, program):
+    gnomon.convert(calibration, program, tmp_path)
+    if program == "c-header":
+        text = (tmp_path / "gnomon_imu.h").read_text(encoding="utf-8")
+        names = {part: f"{part.replace('bias', '')}by_temperature" for part, _ in FOUND.parts() if "bias" in part}
+        names |= {part: f"{part}_by_temperature" for part, _ in FOUND.parts() if "bias" not in part}
+        read = {part: coefficients_in_c(text, name).reshape(getattr(FOUND, part).shape) for part, name in names.items()}
+    else:
+        file = {"px4": "px4.params", "ardupilot": "ardupilot.param"}.get(program, f"calibration.{program}")
+        there = load_any(tmp_path / file).imus["imu0"].temperature
+        assert (there.reference_degc, there.low_degc, there.high_degc) == (22.0, -5.0, 51.5)
+        read = dict(there.parts())
+    flight = program in {"px4", "ardupilot"}
+    assert set(read) == {part for part, _ in FOUND.parts() if part.endswith("_bias") or not flight}
+    for part, values in read.items():
+        sigma = calibration.sigma(f"imu0.temperature.{part}")
+        assert np.abs((values - getattr(FOUND, part)) / sigma).max() < 1e-6
+
+
+@pytest.mark.parametrize("program", ["px4.params", "ardupilot.param"])
+def test_parameters_of_autopilots_are_read_with_their_temperature(calibration, tmp_path, program):
+    """Offsets beyond the polynomial, another reference of one triad, and one that is switched off."""
+    gnomon.convert(calibration, program.partition(".")[0], tmp_path)
+    path = tmp_path / program
+    text, there = path.read_text(encoding="utf-8"), load_any(path).imus["imu0"]
+    if program == "px4.params":
+        bias, moved = "TC_G0_X0_1\t0.0", "TC_G0_X0_1\t0.25"
+        path.write_text(text.replace(bias, moved), encoding="utf-8")
+        assert np.allclose(load_any(path).imus["imu0"].gyroscope.bias - there.gyroscope.bias, [0, 0.25, 0])
+        path.write_text(text.replace("TC_G0_TREF\t22.0", "TC_G0_TREF\t27.0"), encoding="utf-8")
+        off = text.replace("TC_A_ENABLE\t1", "TC_A_ENABLE\t0").replace("TC_G_ENABLE\t1", "TC_G_ENABLE\t0")
+    else:
+        path.write_text(text.replace("INS_GYR1_CALTEMP,22.0", "INS_GYR1_CALTEMP,27.0"), encoding="utf-8")
+        off = text.replace("INS_TCAL1_ENABLE,1", "INS_TCAL1_ENABLE,0")
+    later = load_any(path).imus["imu0"]
+    at = np.array([10.0, 30.0])
+    taken = later.gyroscope.bias + later.temperature.change("gyroscope_bias", at)
+    shift = 5.0 if program == "px4.params" else 0.0
+    wanted = there.gyroscope.bias + there.temperature.change("gyroscope_bias", at - shift)
+    if program == "ardupilot.param":  # zero at 27 degC instead of 22
+        wanted = wanted - there.temperature.change("gyroscope_bias", np.array([27.0]))
+    assert np.allclose(taken, wanted, rtol=0, atol=1e-12)
+    path.write_text(off, encoding="utf-8")
+    assert load_any(path).imus["imu0"].temperature is None
+
+
+def test_autopilots_are_compared_at_a_temperature(calibration, tmp_path):
+    gnomon.convert(calibration, "px4", tmp_path)
+    gnomon.convert(calibration, "ardupilot", tmp_path)
+    files = tmp_path / "px4.params", tmp_path / "ardupilot.param"
+    found = [gnomon.compare(*files, temperature_c=degc).blocks for degc in (0.0, 40.0)]
+    cold, warm = (next(one.values for one in blocks if one.path == "imu0.gyroscope.bias") for blocks in found)
+    change = np.diff(FOUND.change("gyroscope_bias", np.array([0.0, 40.0])), axis=0)[0]
+    assert np.allclose(warm - cold, change, rtol=1e-9)
+    assert np.allclose(warm[0], warm[1], rtol=0, atol=1e-15)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_the_c_header_takes_off_the_same(calibration, tmp_path):
     gnomon.convert(calibration, "c-header", tmp_path)

@@ -6,6 +6,7 @@ and rad/s. Files are those of ground stations, of "param set NAME VALUE", and NA
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -16,6 +17,7 @@ from ...models.diagonal_forms import DiagonalTriad
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, recognised_frame
+from .flight_temperature import FlightTemperature, flight_temperature
 from .losses import Context, Loss
 from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
 from .si_units import refuse_counts, si_conversions
@@ -44,8 +46,10 @@ def read_flight_parameters(path: str | PathLike[str]) -> ForeignCalibration:
         If the file cannot be read, or holds no such parameter, or a scale that is not above zero.
     """
     values: dict[Key, Floats] = {}
+    every: dict[str, float] = {}
     format_name = ""
     for match in _LINE.finditer(read_structured_text(path)):
+        every[match[1]] = float(match[2])
         found = _key(match[1])
         if found is None:
             continue
@@ -56,7 +60,10 @@ def read_flight_parameters(path: str | PathLike[str]) -> ForeignCalibration:
             raise FormatError(f"{path}: {match[1]} is {match[2]}, expected a number above zero.")
     if not values:
         raise FormatError(f"{path}: no parameter such as CAL_ACC0_XOFF or INS_ACCOFFS_X is in it.")
-    imus = {f"imu{index}": _imu(values, index) for index in sorted({key[0] for key in values})}
+    imus = {
+        f"imu{index}": _at_temperature(_imu(values, index), flight_temperature(every, index))
+        for index in sorted({key[0] for key in values})
+    }
     note = f"{format_name} knows no misalignment, and no scale of gyroscopes; taken: none."
     return ForeignCalibration(imus=imus, frame=recognised_frame(imus), notes=(note,), format=format_name)
 
@@ -72,6 +79,17 @@ def _key(name: str) -> tuple[str, Key, int] | None:
         index = int(number) - 1 if number else 0
         return "ArduPilot", (index, triad, "offset" if what == "OFFS" else "scale"), "XYZ".index(axis)
     return None
+
+
+def _at_temperature(imu: ImuCalibration, warm: FlightTemperature | None) -> ImuCalibration:
+    """Return an IMU that knows the temperature; what is taken off at the reference belongs to its biases."""
+    if warm is None:
+        return imu
+    changed: dict[str, AccelerometerCalibration | GyroscopeCalibration] = {}
+    for triad, constant in warm.at_reference.items():
+        if (sensor := getattr(imu, triad)) is not None:
+            changed[triad] = replace(sensor, bias=sensor.bias + constant)
+    return replace(imu, temperature=warm.found, **changed)
 
 
 def _imu(values: Mapping[Key, Floats], index: int) -> ImuCalibration:
