@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ..samples.column_help import HELP
-from ..samples.table import read_thermometer
+from ..samples.table import read_temperature_table
 from .device_log import DeviceLog
 from .phone_files import LogFiles, log_files, zipfile_at
 from .phone_phyphox import is_phyphox, read_phyphox
@@ -36,7 +36,7 @@ def _with_temperature(log: DeviceLog, files: LogFiles) -> DeviceLog:
             continue
         label = name.rsplit("/", 1)[-1]
         try:
-            read = read_thermometer(files.text(name))
+            read = read_temperature_table(files.text(name))
         except RecordingError as error:
             return replace(log, notes=(*log.notes, f"{label}: its temperatures are left out ({error})."))
         if read is not None:

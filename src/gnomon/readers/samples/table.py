@@ -166,7 +166,7 @@ def temperature_samples(t_ns: Integers, values: Floats, unit: str | None) -> tup
     return TemperatureSamples(t_ns=t_ns, values=values, unit=found), note
 
 
-def read_thermometer(file: TextFile) -> TemperatureSamples | None:
+def read_temperature_table(file: TextFile) -> TemperatureSamples | None:
     """Read a table of a thermometer alone; None where it is none.
 
     Raises
