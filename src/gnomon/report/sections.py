@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from ..recording import Floats
 from ..results.calibration import Calibration, Gravity, ImuCalibration, Provenance
-from .certificate.tables import certificate_tables
+from .certificate.tables import budget_table, certificate_tables
 from .numbers import number_text, readable_unit
 from .page import Code, KeyNumber, Prose, ReportPage, ReportTable, Section, lift_figures, typeset_finding
 
@@ -58,6 +58,7 @@ def calibration_page(
     Sections that there is nothing to say in are None.
     """
     made_by = calibration.provenance.gnomon_version
+    budget = budget_table(calibration)
     figures, folded = lift_figures((section for section in sections if section is not None), plots)
     return ReportPage(
         title=title,
@@ -67,7 +68,7 @@ def calibration_page(
         key_numbers=key_numbers,
         findings=tuple(typeset_finding(f) for f in calibration.assessment.findings if f.code != "assumed"),
         sections=folded,
-        front=(*certificate_tables(calibration), *figures),
+        front=(*certificate_tables(calibration), *figures, *(budget,) * bool(budget.rows)),
         footer=f"Made by gnomon {made_by}. This file needs no network and no other file.",
     )
 

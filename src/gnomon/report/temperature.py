@@ -48,7 +48,11 @@ def temperature_page(result: TemperatureResult) -> ReportPage:
         verdict=calibration.verdict,
         headline=_HEADLINES[calibration.verdict],
         key_numbers=(
-            KeyNumber("Range", f"{found.low_degc:.1f} to {found.high_degc:.1f} °C"),
+            KeyNumber(
+                "Recorded",
+                f"{result.low_degc:.1f} to {result.high_degc:.1f} °C".replace("-", "−"),
+                f"used from {found.low_degc:.1f} to {found.high_degc:.1f} °C".replace("-", "−"),
+            ),
             KeyNumber("Reference", f"{found.reference_degc:.1f} °C", "sensitivities and biases hold here"),
             KeyNumber("Lag of the thermometer", lag),
         ),

@@ -12,7 +12,7 @@ from ...output import write_whole
 from ...results.calibration import Calibration
 from ..page import ReportTable, typeset_finding
 from ..sections import HEADLINES
-from .tables import BUDGET_TITLE, budget_table, certificate_tables
+from .tables import budget_table, certificate_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,8 +76,7 @@ class _Sheet:
         if len(pressing) > 4:
             self._wrapped(f"{len(pressing) - 4} more findings are in the report.")
         for table in certificate_tables(calibration):
-            if table.title != BUDGET_TITLE:
-                self._table(table)
+            self._table(table)
         self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
         for source in provenance.inputs[:5]:
             self._wrapped(f"Input {source.name}, SHA-256 {source.sha256}")

@@ -1,5 +1,6 @@
 """Page one of every report, the certificate: what was calibrated, the numbers with U = 2 sigma, criteria."""
 
+import re
 from collections.abc import Iterator, Mapping
 
 from ...assess.uncertainty_budget import uncertainty_budget
@@ -35,12 +36,9 @@ _CRITERIA = (
 
 
 def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
-    """Return the tables of page one, the uncertainty budget among them."""
-    return tuple(
-        table
-        for table in (_stated(calibration), _numbers(calibration), budget_table(calibration), _criteria(calibration))
-        if table.rows
-    )
+    """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
+    tables = _stated(calibration), _numbers(calibration), _criteria(calibration)
+    return tuple(table for table in tables if table.rows)
 
 
 def stated_facts(calibration: Calibration) -> list[tuple[str, str]]:
@@ -91,9 +89,24 @@ def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
     if cameras and not calibration.imus:
         return
     groups = [g for name in calibration.imus for g in imu_groups(calibration, name)] if cameras else ()
-    for group in groups or parameter_groups(calibration):
+    groups = groups or parameter_groups(calibration)
+    for group in sorted(groups, key=lambda group: "Magnetometer" not in group.title):  # the accelerometer serves it
         if group.title.endswith(_MATTERS):
             yield "", group
+
+
+def _read_aloud(calibration: Calibration, name: str) -> str:
+    """Return the name of a scalar in words, "imu0.accelerometer.bias[1]" -> "imu0 accelerometer bias y"."""
+    device, _, rest = name.partition(".")
+    symbols: dict[str, str] = {}
+    if device in calibration.cameras:
+        camera = calibration.cameras[device].camera
+        symbols = dict(zip(camera.parameter_names, camera.parameter_symbols, strict=True))
+    path, _, element = rest.rstrip("]").partition("[")
+    axes = "".join("xyz"[int(i)] for i in element.split(",")) if re.fullmatch("[012](,[012])?", element) else element
+    words = path.replace("T_cam_imu.", "").replace("g_sensitivity", "g-sensitivity")
+    words = re.sub("_(cam_imu|m)$", "", words).replace("_", " ").replace(".", " ")
+    return f"{device} {symbols.get(rest) or f'{words} {axes}'.strip()}"
 
 
 def budget_table(calibration: Calibration) -> ReportTable:
@@ -103,7 +116,7 @@ def budget_table(calibration: Calibration) -> ReportTable:
     for quantity in uncertainty_budget(calibration):
         sigma, expanded = (number_text(size, 2) for size in (quantity.sigma, quantity.expanded))
         unit = "" if quantity.unit == "1" else f"\u00a0{readable_unit(quantity.unit)}"
-        rows.append((quantity.name, "", f"U\u00a0=\u00a0{expanded}{unit}", "", "", sigma, ""))
+        rows.append((_read_aloud(calibration, quantity.name), "", f"U\u00a0=\u00a0{expanded}{unit}", "", "", sigma, ""))
         for source in quantity.sources:
             share = source.variance / quantity.sigma**2
             stated = "" if source.unit == "1" else f"\u00a0{readable_unit(source.unit)}"
