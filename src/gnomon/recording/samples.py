@@ -7,7 +7,12 @@ import numpy as np
 from ..errors import RecordingError
 from ..frozen import value_class
 from ..models.noise import ImuNoise
-from ..units import TEMPERATURE_UNITS_DEGC
+from ..units import (
+    ACCELEROMETER_UNITS_M_S2,
+    GYROSCOPE_UNITS_RAD_S,
+    MAGNETOMETER_UNITS_UT,
+    TEMPERATURE_UNITS_DEGC,
+)
 from .arrays import Floats, Integers, frozen_array, usual_rate
 from .dataframes import make_dataframe
 
@@ -112,6 +117,13 @@ class TemperatureSamples:
         return None if conversion is None else conversion[0] * self.values + conversion[1]
 
 
+_UNITS = {
+    "accelerometer": ACCELEROMETER_UNITS_M_S2,
+    "gyroscope": GYROSCOPE_UNITS_RAD_S,
+    "magnetometer": MAGNETOMETER_UNITS_UT,
+}
+
+
 @value_class
 class ImuSamples:
     """The triads of one IMU; they may differ in rate and timestamps, but share one clock.
@@ -125,6 +137,11 @@ class ImuSamples:
     temperature : of its thermometer; None where the recording has none
     T_imu_body : (4, 4) how it lies to the first IMU, p_imu = T_imu_body @ p_body, where stated; it is not needed
     time_shift_s : t_body = t_imu + time_shift_s, between timestamps [s], where stated; it is not needed
+
+    Raises
+    ------
+    RecordingError
+        If the unit of a triad is none of those in `gnomon.units`.
     """
 
     accelerometer: TriadSamples
@@ -137,5 +154,9 @@ class ImuSamples:
     time_shift_s: float | None = None
 
     def __post_init__(self) -> None:
+        for name, units in _UNITS.items():
+            triad = getattr(self, name)
+            if triad is not None and len(triad) and triad.unit not in units:
+                raise RecordingError(f'the {name} has no unit "{triad.unit}"; known are {", ".join(units)}.')
         if self.T_imu_body is not None:
             object.__setattr__(self, "T_imu_body", frozen_array(self.T_imu_body))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.errors import RecordingError
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 
 BAD = {"warning", "problem"}
@@ -190,6 +191,30 @@ def test_stuck_and_repeated_samples() -> None:
     held = np.repeat(samples.gyroscope.values[::2], 2, axis=0)[: len(values)]
     found = findings(replace(samples, gyroscope=replace(samples.gyroscope, values=held)))
     assert found["samples-repeated"].severity == "warning"
+
+
+def test_a_triad_that_is_stuck_while_the_other_moves_and_stamps_that_all_fall_are_problems() -> None:
+    samples = imu()
+    values, n = samples.gyroscope.values.copy(), len(samples.gyroscope)
+    values[n // 2 :] = 0
+    found = findings(replace(samples, gyroscope=replace(samples.gyroscope, values=values)))
+    assert found["samples-stuck"].severity == "problem"
+    found = findings(with_stamps(samples, samples.accelerometer.t_ns[::-1]))
+    assert found["time-backward"].severity == "problem"
+    assert "time-constant" not in found
+
+
+def test_rests_without_samples_of_the_gyroscope_are_left_out_for_that_reason() -> None:
+    samples = imu()
+    g, half = samples.gyroscope, len(samples.gyroscope) // 2
+    found = findings(replace(samples, gyroscope=replace(g, t_ns=g.t_ns[:half], values=g.values[:half])))
+    assert "the gyroscope has no samples there" in found["intervals-left-out"].message
+
+
+def test_an_unknown_unit_is_refused_with_those_that_are_known() -> None:
+    samples = imu()
+    with pytest.raises(RecordingError, match='gyroscope has no unit "raw"; known are rad/s.*count'):
+        replace(samples, gyroscope=replace(samples.gyroscope, unit="raw"))
 
 
 def test_coarse_sensor_at_rest_is_not_stuck() -> None:

@@ -110,6 +110,13 @@ def test_start_without_a_guess_is_near_the_truth(multiposition, units):
     np.testing.assert_allclose(still, imu.gyroscope.bias, atol=4e-3 * imu.gyroscope.sensitivity.max())
 
 
+def test_a_gyroscope_that_shows_no_turn_is_refused_in_words(noisy):
+    silent = replace(noisy.data.segments, gyroscope=0.0 * noisy.data.segments.gyroscope)
+    data = replace(noisy.data, segments=silent, gyroscope=0.0 * noisy.data.gyroscope)
+    with pytest.raises(InitialisationError, match="shows nothing of the turns"):
+        start_state(data)
+
+
 def central_differences(data, state, move, h=1e-6):
     """Return the derivatives of the three groups of residuals, in the tangent planes of `state`."""
     basis = tangent_basis(state.u)

@@ -249,14 +249,14 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
         findings += check_stamps(accelerometer, f"{name} accelerometer")
         findings += check_stamps(gyroscope, f"{name} gyroscope")
         findings += _clocks(accelerometer, gyroscope, name)
-    signals = check_signal(accelerometer, f"{name} accelerometer")
+    signals = check_signal(accelerometer, f"{name} accelerometer", gyroscope)
     usable = not any(finding.code == "signal-constant" for finding in signals)
     findings += signals
     if len(gyroscope) > 1:
-        findings += check_signal(gyroscope, f"{name} gyroscope")
+        findings += check_signal(gyroscope, f"{name} gyroscope", accelerometer)
         findings += check_vibration(accelerometer, gyroscope, name)
         findings += check_lost_samples(gyroscope, f"{name} gyroscope")
-    usable = usable and not any(finding.code == "time-constant" for finding in findings)
+    usable = usable and all(len(triad) < 2 or np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope))
     if usable and len(gyroscope) > 1:
         findings += check_triad_clocks(imu, name)
     if not usable:

@@ -38,13 +38,15 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
     """
     dt = np.diff(samples.t_ns)
     period = 1e9 / samples.rate_hz
+    if not np.isfinite(period) and (dt < 0).any():
+        return _backward(samples, dt, label)
     if not np.isfinite(period):
         return [make_finding("time-constant", label=label, samples=len(samples))]
     spread = 1.4826 * float(np.median(np.abs(dt - period)))
     steps = _Steps(dt=dt, period=period, spread=spread)
     gaps = _gaps(samples, steps, label)
     irregular = [finding for finding in gaps if finding.code in {"jitter", "rate-changed"}]
-    findings = [*_backward(samples, steps, label), *irregular, *_repeated(steps, label)]
+    findings = [*_backward(samples, dt, label), *irregular, *_repeated(steps, label)]
     findings += [] if irregular else gaps
     if all(finding.code != "rate-changed" for finding in irregular):
         findings += _rounded(samples, steps, label)
@@ -74,8 +76,8 @@ def _at(samples: TriadSamples, index: int) -> str:
     return f"sample {index} ({(samples.t_ns[index] - samples.t_ns[0]) * 1e-9:.3f} s after the start)"
 
 
-def _backward(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
-    back = np.flatnonzero(steps.dt < 0)
+def _backward(samples: TriadSamples, dt: Integers, label: str) -> list[Finding]:
+    back = np.flatnonzero(dt < 0)
     if not len(back):
         return []
     first = int(back[0])
@@ -85,7 +87,7 @@ def _backward(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]
             label=label,
             count=len(back),
             plural="s" * (len(back) > 1),
-            step_s=-steps.dt[first] * 1e-9,
+            step_s=-dt[first] * 1e-9,
             at=_at(samples, first),
         )
     ]
@@ -258,8 +260,8 @@ def axis_extremes(values: Floats) -> tuple[Floats, Floats]:
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 
 
-def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
-    """Return findings on the values of one sensor; linear time."""
+def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None = None) -> list[Finding]:
+    """Return findings on the values of one sensor, which another one beside it may contradict; linear time."""
     low, high = axis_extremes(samples.values)
     still = low == high
     if still.all():
@@ -277,7 +279,7 @@ def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
         axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
         findings.append(make_finding("axis-constant", label=label, axes=axes))
     findings += _saturation(samples, label)
-    findings += _stuck(samples, label) or _stuck_axis(samples, label)
+    findings += _stuck(samples, label, beside) or _stuck_axis(samples, label)
     findings += check_repeats(samples, label)
     return findings
 
@@ -360,7 +362,7 @@ def _seconds(samples: TriadSamples, index: int) -> float:
     return float(samples.t_ns[index] - samples.t_ns[0]) * 1e-9
 
 
-def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
+def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> list[Finding]:
     """Look for samples that repeat all three axes of the one before: held by the driver, or by a link that hung."""
     same = [samples.values[1:, axis] == samples.values[:-1, axis] for axis in range(3)]
     shares = [np.count_nonzero(axis) / len(axis) for axis in same]
@@ -377,12 +379,29 @@ def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
     chance = len(samples) * max(by_chance, 1e-300) ** min(longest, 300)
     share = count / len(repeats)
     if longest >= least and chance < 1e-3:
-        return [make_finding("samples-stuck", label=label, count=longest + 1, at=_seconds(samples, first))]
+        much = longest > _MUCH_STUCK * len(samples) and _moves(beside, *samples.t_ns[[first, first + longest]])
+        return [
+            make_finding(
+                "samples-stuck",
+                severity="problem" if much else "warning",
+                label=label,
+                count=longest + 1,
+                at=_seconds(samples, first),
+            )
+        ]
     # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
     together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
     if share > 0.2 and together > 0.5:
         return [make_finding("samples-repeated", label=label, share=share)]
     return []
+
+
+def _moves(samples: TriadSamples | None, start_ns: int, stop_ns: int) -> bool:
+    """Tell whether a sensor moves much between two instants."""
+    if samples is None or not len(samples):
+        return False
+    part = samples.values[np.searchsorted(samples.t_ns, start_ns) : np.searchsorted(samples.t_ns, stop_ns)]
+    return len(part) > 1 and bool((np.ptp(part, axis=0) > _OTHERS_MOVE * np.ptp(samples.values, axis=0)).any())
 
 
 def _stuck_axis(samples: TriadSamples, label: str) -> list[Finding]:

@@ -11,6 +11,7 @@ from .turning import RateMarks, mark_rates
 _SURELY_STILL = 10.0  # times the resting level of s^2
 _SAME_ATTITUDE = 0.03  # of half the range of all means
 _MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch of the table stays below
+_UNSEEN_S = 0.5  # without a sample
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
 
 
@@ -60,6 +61,7 @@ class RestStatistics:
     saturated : (n,) samples that no static interval may hold
     marks : what the gyroscope says
     turned : (n,) gyroscope's distance from its rate at rest, over that of the fastest motion; None without gyroscope
+    unseen : (n,) samples about which the gyroscope has none; None where it has all
     """
 
     samples: TriadSamples
@@ -67,6 +69,7 @@ class RestStatistics:
     saturated: Booleans
     marks: RateMarks
     turned: Floats | None = None
+    unseen: Booleans | None = None
 
     @classmethod
     def of(
@@ -94,10 +97,12 @@ class RestStatistics:
         size = np.abs(gyroscope.values - rest).max(axis=1)
         fastest = float(np.quantile(size, 0.995))
         turned = size / fastest if fastest > 0 else np.zeros(len(size))
+        unseen = None
         if not np.array_equal(t_accel, t_gyro):
             at = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
             marks, turned = marks.at(at), turned[at]
-        return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned)
+            unseen = np.minimum(np.abs(t_gyro[at] - t_accel), np.abs(t_gyro[at - (at > 0)] - t_accel)) > _UNSEEN_S
+        return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned, unseen=unseen)
 
 
 def find_rests(motion: RestStatistics, multiplier: float, shortest: int) -> Rests:
@@ -155,7 +160,8 @@ def _parts(
     """Return what can be used of rests, where the gyroscope is told to turn and to stir."""
     steady = runs_below(np.where(turns, np.inf, motion.statistic), multiplier, shortest)
     parts = trim_intervals(steady, stirs, shortest)
-    return parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
+    parts = parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
+    return parts if motion.unseen is None else parts.where(_count(motion.unseen, parts) == 0)
 
 
 def _longest(parts: StaticIntervals, own: Booleans) -> tuple[int, int] | None:
@@ -182,6 +188,8 @@ def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
 def _why(motion: RestStatistics, start: int, stop: int) -> str:
     """Return why a rest cannot be used."""
     part, marks = slice(start, stop), motion.marks
+    if motion.unseen is not None and motion.unseen[part].any():
+        return "the gyroscope has no samples there"
     if motion.saturated[part].any() and not marks.turns[part].any():
         return "the accelerometer is saturated"
     if marks.apart[part].any():

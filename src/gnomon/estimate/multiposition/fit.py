@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...errors import SolveError
+from ...errors import InitialisationError, SolveError
 from ...frozen import value_class
 from ...geometry.so3 import invert_matrix
 from ...models.frames import frame_rotation
@@ -322,7 +322,7 @@ def start_state(data: MultiPositionData) -> MultiPositionState:
     Raises
     ------
     InitialisationError
-        If the attitudes determine no accelerometer calibration.
+        If the attitudes determine no accelerometer calibration, or the gyroscope shows no turn.
     """
     fit = fit_magnitude(data.accelerometer, 1.0)
     sensitivity = invert_matrix(fit.correction)
@@ -334,6 +334,11 @@ def start_state(data: MultiPositionData) -> MultiPositionState:
     norm = np.linalg.norm(force, axis=1, keepdims=True)
     moving = replace(data.segments, gyroscope=data.segments.gyroscope - still)
     rates, _ = linear_start(moving, force / np.where(norm > 0, norm, 1.0))
+    if np.linalg.matrix_rank(rates) < 3:
+        raise InitialisationError(
+            "the gyroscope shows nothing of the turns between most static intervals, about one axis at least. Check "
+            "that it is on, and its columns and unit."
+        )
     theta = np.zeros(PARAMETERS)
     theta[S_], theta[B_] = sensitivity[LOWER], fit.bias
     theta[CG_], theta[BG_] = rates.ravel(), still
