@@ -213,7 +213,7 @@ def test_rests_without_samples_of_the_gyroscope_are_left_out_for_that_reason() -
 
 def test_an_unknown_unit_is_refused_with_those_that_are_known() -> None:
     samples = imu()
-    with pytest.raises(RecordingError, match='gyroscope has no unit "raw"; known are rad/s.*count'):
+    with pytest.raises(RecordingError, match=r'gyroscope has no unit "raw"; known are rad/s.*count'):
         replace(samples, gyroscope=replace(samples.gyroscope, unit="raw"))
 
 

@@ -188,16 +188,15 @@ def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
 def _why(motion: RestStatistics, start: int, stop: int) -> str:
     """Return why a rest cannot be used."""
     part, marks = slice(start, stop), motion.marks
-    if motion.unseen is not None and motion.unseen[part].any():
-        return "the gyroscope has no samples there"
-    if motion.saturated[part].any() and not marks.turns[part].any():
-        return "the accelerometer is saturated"
-    if marks.apart[part].any():
-        return "the gyroscope's rate is far from that of the rests around it: it turned, or its bias was another"
-    if marks.jumps[part].any():
-        return "the gyroscope's bias stepped, and too little is left on either side"
-    if marks.turns[part].any():
-        return "the gyroscope shows that the sensor turned"
-    if motion.saturated[part].any():
-        return "the accelerometer is saturated"
-    return "too short without its ends, which stir"
+    turns, saturated = marks.turns[part].any(), motion.saturated[part].any()
+    reasons = (
+        (motion.unseen is not None and motion.unseen[part].any(), "the gyroscope has no samples there"),
+        (saturated and not turns, "the accelerometer is saturated"),
+        (
+            marks.apart[part].any(),
+            "the gyroscope's rate is far from that of the rests around it: it turned, or its bias was another",
+        ),
+        (marks.jumps[part].any(), "the gyroscope's bias stepped, and too little is left on either side"),
+        (turns, "the gyroscope shows that the sensor turned"),
+    )
+    return next((words for holds, words in reasons if holds), "too short without its ends, which stir")
