@@ -400,8 +400,8 @@ def study_rig(seconds):
     images = [frame.decode() for frame in frames]
     source, hand = PacedImages(images, 10**18), open_source("simulate:1")
     with tempfile.TemporaryDirectory() as place:
-        lens, use = simulation.recording.cameras["cam0"].camera, USES["vio"]
-        session = RigSession(source, hand, Path(place) / "rec", simulation.target, lens=lens, use=use)
+        lenses, use = {"cam0": simulation.recording.cameras["cam0"].camera}, USES["vio"]
+        session = RigSession(source, hand, Path(place) / "rec", simulation.target, lenses=lenses, use=use)
         cpu_s, looks = time.process_time(), []
         session.begin_recording()
         end = time.monotonic() + seconds

@@ -29,6 +29,8 @@ _TILTED, _SMALL, _NEAR_TO_FAR = np.sin(np.radians(15.0)), 0.15, 1.4
 _NEW = 0.04  # of the image's diagonal, by which a view must differ from all others
 _NEW_TILT = 0.15
 _LARGE = 0.2  # spread of the corners over the image's height, of a board that fills it
+FASTEST_PX_S = np.sqrt(12) * BLURRED_PX / 5e-3
+"""Smears an exposure of 5 ms as much as is borne: a smear's standard deviation is its length over sqrt(12)."""
 _MOST_VIEWS, _AWAY, _LOST = 120, 3, 6
 _MORE = 1.3  # times as many views before a calibration is tried again
 _THIRDS = (("upper left", "upper", "upper right"), ("left", "middle", "right"), ("lower left", "lower", "lower right"))
@@ -51,6 +53,7 @@ class BoardState:
     cells : (8, 10) how many corners were seen in each part of the image
     bars : what is needed -> how much of it is there
     blur_px, white : of the board in that image; nan where it was not found
+    speed_px_s : of its corners, from one image to the next; nan where that is not looked at
     faults : what is wrong with it
     seconds, rate_hz : of the recording
     views : how many differ from each other
@@ -66,6 +69,7 @@ class BoardState:
     bars: tuple[tuple[str, float], ...] = ()
     blur_px: float = float("nan")
     white: float = float("nan")
+    speed_px_s: float = float("nan")
     faults: tuple[Fault, ...] = ()
     seconds: float = 0.0
     rate_hz: float = 0.0
@@ -84,7 +88,8 @@ class BoardState:
 
     def document(self) -> dict[str, Any]:
         """Return it for the page."""
-        found = np.isfinite(self.blur_px)
+        found, speed = np.isfinite(self.blur_px), self.speed_px_s
+        moved = [["speed", f"{speed:.0f} px/s", bool(speed <= FASTEST_PX_S)]] if np.isfinite(speed) else []
         return {
             "advice": self.advice,
             "phase": self.phase,
@@ -97,6 +102,7 @@ class BoardState:
                 ["board", "found" if found else "not found", bool(found)],
                 ["blur", f"{self.blur_px:.1f} px" if found else "?", bool(self.blur_px <= BLURRED_PX)],
                 ["light", f"{self.white:.0f} of 255" if found else "?", bool(DARK <= self.white < BRIGHT)],
+                *moved,
             ],
             "faults": [[fault.code, fault.text] for fault in self.faults],
             "seconds": round(self.seconds, 1),
@@ -112,17 +118,18 @@ class BoardCoach:
     Parameters
     ----------
     target : the board
+    camera : its name
     """
 
-    def __init__(self, target: Target) -> None:
-        self.target, self.state = target, BoardState()
+    def __init__(self, target: Target, camera: str = "cam0") -> None:
+        self.target, self.camera, self.state = target, camera, BoardState()
         self._views: list[tuple[int, BoardView]] = []
         self._places = np.empty((0, 8))
         self._cells = np.zeros(CELLS[::-1])
         self._lost, self._unlike = 0, ""
         self._unseen: list[Grey] = []
         self._tried, self._not_yet = 0, ""
-        self._confirmed, self._seconds = False, 0.0
+        self._confirmed, self._seconds, self._speed_px_s = False, 0.0, float("nan")
 
     def look_at_image(
         self, t_ns: int, image: Grey, view: BoardView, statistics: ImageStatistics, *, seconds: float, rate_hz: float
@@ -151,6 +158,7 @@ class BoardCoach:
             bars=tuple(needs.items()),
             blur_px=view.blur_px,
             white=view.white,
+            speed_px_s=self._speed_px_s,
             faults=tuple(self._faults(view, statistics, seen=seen)),
             seconds=seconds,
             rate_hz=rate_hz,
@@ -177,7 +185,7 @@ class BoardCoach:
     def recording_so_far(self) -> Recording:
         """Return the views so far, for a calibration."""
         self._tried = len(self._views)
-        return Recording(imus={}, cameras={"cam0": frames_of(self._views, Camera.nominal(self.state.resolution))})
+        return Recording(imus={}, cameras={self.camera: frames_of(self._views, Camera.nominal(self.state.resolution))})
 
     def take_outcome(self, outcome: TrialOutcome) -> None:
         """Take what a calibration of the views said."""
@@ -283,6 +291,14 @@ def frames_of(views: Sequence[tuple[int, BoardView]], camera: Camera) -> CameraF
         sigma_px=np.concatenate([view.sigma_px for _, view in views]),
         camera=camera,
     )
+
+
+def speed_of_corners(before: tuple[int, BoardView], after: tuple[int, BoardView]) -> float:
+    """Return how fast the corners move that are in both of two views [px/s], their median; nan where none is."""
+    (t0_ns, first), (t1_ns, second) = before, after
+    _, of_first, of_second = np.intersect1d(first.point, second.point, assume_unique=True, return_indices=True)
+    moved = np.linalg.norm(second.pixels[of_second] - first.pixels[of_first], axis=1)
+    return float(np.median(moved)) / ((t1_ns - t0_ns) * 1e-9) if len(moved) and t1_ns > t0_ns else float("nan")
 
 
 def _tilt(R_cam_target: Floats, p_cam_target: Floats, middle: Floats) -> Floats:

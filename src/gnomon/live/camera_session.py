@@ -4,6 +4,7 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,20 +42,23 @@ class CameraSession:
 
     page = "camera"
     looks = 1
-    """How many images are looked at, at most, each time."""
+    """How many images of a camera are looked at, at most, each time."""
 
     def __init__(self, source: ImageSource, folder: Path, target: Target) -> None:
         Recorder(folder).close_files()  # the folder is there now, and empty
         self.source, self.folder, self.images = source, folder, ImageRecorder(folder)
-        self.coach = self._coach(target)
+        self._target, self._guided, self._state = target, "cam0", BoardState()
+        first = self._coach("cam0")
+        assert first is not None
+        self.coaches = {"cam0": first}
         self.stopped = threading.Event()
         self.trace: deque[list[float]] = deque()
-        self._pending: deque[ImageArrival] = deque(maxlen=self.looks)
+        self._pending: dict[str, deque[ImageArrival]] = {}
         self._stamps: deque[int] = deque(maxlen=60)
         self._first_ns, self._arrived_s = 0, time.monotonic()
-        self._shown: Grey | None = None
-        self._looked_ns = -1
+        self._looked: dict[str, ImageArrival] = {}
         self._trial: Trial | None = None
+        self._tried = "cam0"
         self._finder: BoardProcess | BoardFinder
         try:
             self._finder = BoardProcess(target)
@@ -62,8 +66,14 @@ class CameraSession:
             self._finder = BoardFinder(target)
         self._thread = threading.Thread(target=self._receive, daemon=True)
 
-    def _coach(self, target: Target) -> BoardCoach:
-        return BoardCoach(target)
+    def _coach(self, camera: str) -> BoardCoach | None:
+        """Return the coach of a camera; None where it is recorded alone."""
+        return BoardCoach(self._target, camera)
+
+    @property
+    def coach(self) -> BoardCoach:
+        """The coach of the camera that is guided now."""
+        return self.coaches[self._guided]
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
@@ -103,27 +113,38 @@ class CameraSession:
         """Record an image, and keep it for the coach until the next one."""
         self.images.record_image(*arrival)
         self._arrived_s = time.monotonic()
+        self._first_ns = self._first_ns or arrival.t_ns
         if arrival.camera == "cam0":
-            self._first_ns = self._first_ns or arrival.t_ns
             self._stamps.append(arrival.t_ns)
-            self._pending.append(arrival)
+        self._pending.setdefault(arrival.camera, deque(maxlen=self.looks)).append(arrival)
 
     def take_arrivals(self) -> None:
         """Images wait until they are looked at."""
 
     def look_at_arrivals(self) -> BoardState:
-        """Look at the newest image, and return what there is to say."""
+        """Look at the newest image of each camera, and return what there is to say of the first that needs more."""
         self.images.sync_files()
         self._follow_trial()
-        arrivals = [self._pending.popleft() for _ in range(len(self._pending))]
-        if not arrivals:
-            return self.coach.state
+        for name, waiting in list(self._pending.items()):
+            if name not in self.coaches and (coach := self._coach(name)) is not None:
+                self.coaches[name] = coach
+            if waiting and name in self.coaches:
+                self._look(self.coaches[name], [waiting.popleft() for _ in range(len(waiting))])
+        unserved = {name: one.state.phase for name, one in self.coaches.items() if not one.state.confirmed}
+        self._guided = next((n for n, phase in unserved.items() if phase != "trying"), next(iter(unserved), "cam0"))
+        self._state = self.coach.state
+        if len(self.coaches) > 1:
+            said = f"{self._guided}: {self._state.advice}"
+            self._state = replace(self._state, advice=said, confirmed=not unserved)
+        return self._state
+
+    def _look(self, coach: BoardCoach, arrivals: list[ImageArrival]) -> None:
+        """Look at what arrived of a camera."""
         views = self._views_of([arrival.image for arrival in arrivals])
         for earlier, view in zip(arrivals[:-1], views[:-1], strict=True):
-            self.coach.keep_view(earlier.t_ns, view, earlier.image.shape[::-1])
-        arrival = arrivals[-1]
-        self._looked_ns, self._shown = arrival.t_ns, arrival.image
-        state = self.coach.look_at_image(
+            coach.keep_view(earlier.t_ns, view, earlier.image.shape[::-1])
+        arrival = self._looked[coach.camera] = arrivals[-1]
+        coach.look_at_image(
             arrival.t_ns,
             arrival.image,
             views[-1],
@@ -131,27 +152,27 @@ class CameraSession:
             seconds=(arrival.t_ns - self._first_ns) * 1e-9,
             rate_hz=1e9 / self._period_ns if len(self._stamps) > 1 else 0.0,
         )
-        if unseen := self.coach.wants_guess:
-            self.coach.take_guess(guess_board(unseen, self.coach.target))
-        return state
+        if unseen := coach.wants_guess:
+            coach.take_guess(guess_board(unseen, self._target))
 
     def _views_of(self, images: list[Grey]) -> list[BoardView]:
         with suppress(ProcessLostError):
             return self._finder.views(images, follows=False)
-        self._finder = BoardFinder(self.coach.target)
+        self._finder = BoardFinder(self._target)
         return self._finder.views(images, follows=False)
 
     def _follow_trial(self) -> None:
         """Begin a calibration where the views may be enough, and take what came of it."""
         if self._trial is not None and self._trial.ended:
             if self._trial.outcome is not None:
-                self.coach.take_outcome(self._trial.outcome)
+                self.coaches[self._tried].take_outcome(self._trial.outcome)
             self._trial = None
-        if self._trial is None and self.coach.wants_trial:
-            self._trial = self._begin_trial()
+        wanting = next((name for name, coach in self.coaches.items() if coach.wants_trial), None)
+        if self._trial is None and wanting is not None:
+            self._trial, self._tried = self._begin_trial(self.coaches[wanting]), wanting
 
-    def _begin_trial(self) -> Trial:
-        return Trial(self.coach.recording_so_far(), self.coach.target)
+    def _begin_trial(self, coach: BoardCoach) -> Trial:
+        return Trial(coach.recording_so_far(), self._target)
 
     @property
     def _period_ns(self) -> float:
@@ -172,18 +193,19 @@ class CameraSession:
 
     def document(self) -> dict[str, Any]:
         """Return all that the page shows."""
-        said = self.coach.state.document()
+        said = self._state.document()
         said["faults"] = [*([fault.code, fault.text] for fault in self.troubles()), *said["faults"]]
-        said["written"], said["picture"] = self.images.written, self._looked_ns
+        looked = self._looked.get(self._guided)
+        said["written"], said["picture"] = self.images.written, f"{looked.camera}-{looked.t_ns}" if looked else ""
         return said
 
     def picture(self) -> bytes:
         """Return the image that was looked at last, as a small JPEG; nothing before the first."""
         import cv2
 
-        image = self._shown
-        if image is None:
+        if self._guided not in self._looked:
             return b""
+        image = self._looked[self._guided].image
         if image.shape[1] > _WIDEST:
             size = (_WIDEST, round(image.shape[0] * _WIDEST / image.shape[1]))
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -1,6 +1,6 @@
 """A guided capture of a camera with an IMU: both are recorded, and both are looked at together."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from ..models.target import Target
 from ..options.requirements import Use
 from ..recording import Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, Units
-from .board_coach import BoardCoach, BoardState, frames_of
+from .board_coach import BoardCoach, BoardState, frames_of, speed_of_corners
 from .camera_session import CameraSession
 from .coach import Coach
 from .faults import Fault
@@ -76,10 +76,11 @@ class RigCoach(BoardCoach):
     target : the board
     lens : of the camera
     motion : of the IMU
+    camera : its name
     """
 
-    def __init__(self, target: Target, lens: Camera, motion: MotionCoach) -> None:
-        super().__init__(target)
+    def __init__(self, target: Target, lens: Camera, motion: MotionCoach, camera: str = "cam0") -> None:
+        super().__init__(target, camera)
         self._lens, self._motion = lens, motion
         self._tried_s = self._checked_s = 0.0
         self._setup: tuple[Fault, ...] = ()
@@ -88,6 +89,7 @@ class RigCoach(BoardCoach):
     def keep_view(self, t_ns: int, view: BoardView, size: tuple[int, int]) -> None:
         """Keep what is seen in an image, of the last two minutes."""
         self._count_corners(view, size)
+        self._speed_px_s = speed_of_corners(self._views[-1], (t_ns, view)) if self._views else float("nan")
         self._views.append((t_ns, view))
         first = int(np.searchsorted([t for t, _ in self._views[:64]], t_ns - _LONGEST_S * 1e9))
         del self._views[:first]
@@ -97,7 +99,7 @@ class RigCoach(BoardCoach):
         self._checked_s = self.state.seconds
         if self.wants_calibration:
             self._tried_s = self.state.seconds
-        return Recording(imus={}, cameras={"cam0": frames_of(self._views, self._lens)})
+        return Recording(imus={}, cameras={self.camera: frames_of(self._views, self._lens)})
 
     @property
     def wants_calibration(self) -> bool:
@@ -157,7 +159,7 @@ class RigSession(CameraSession):
     source, samples : of the images, and of the IMU
     folder : to record in
     target : the board
-    lens : of the camera
+    lenses : of the cameras, cam0 among them; those without one are recorded, and not guided
     use : what both are for
     units : of the samples, as far as they are stated
     """
@@ -171,19 +173,19 @@ class RigSession(CameraSession):
         folder: Path,
         target: Target,
         *,
-        lens: Camera,
+        lenses: Mapping[str, Camera],
         use: Use,
         units: Units | None = None,
     ) -> None:
-        self._use, self._units, self._lens = use, units, lens
+        self._use, self._units, self._lenses = use, units, lenses
         self.samples = LiveSession(samples, folder, use, units=units, coach=MotionCoach, name="imu0")
         super().__init__(source, folder, target)
         self.trace = self.samples.trace
 
-    def _coach(self, target: Target) -> BoardCoach:
+    def _coach(self, camera: str) -> BoardCoach | None:
         motion = self.samples.coach
         assert isinstance(motion, MotionCoach)
-        return RigCoach(target, self._lens, motion)
+        return RigCoach(self._target, self._lenses[camera], motion, camera) if camera in self._lenses else None
 
     def begin_recording(self) -> None:
         """Begin to receive both, each in a thread of its own."""
@@ -218,8 +220,7 @@ class RigSession(CameraSession):
         """Return why nothing can be said, and what is wrong with the sources, most important first."""
         return [*super().troubles(), *self.samples.troubles(), *self.samples.coach.state.faults]
 
-    def _begin_trial(self) -> Trial:
-        coach = self.coach
+    def _begin_trial(self, coach: BoardCoach) -> Trial:
         assert isinstance(coach, RigCoach)
         calibrates = coach.wants_calibration
         return Trial(coach.recording_so_far(), coach.target, self._use, self.folder, self._units, calibrates=calibrates)

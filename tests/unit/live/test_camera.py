@@ -135,6 +135,41 @@ def test_what_is_recorded_is_read_again_as_it_was(tmp_path):
     assert all((frame.decode() == np.roll(GREY, k, axis=1)).all() for k, frame in enumerate(frames))
 
 
+class Prepared:
+    """Finds what was prepared, one view for each image."""
+
+    def __init__(self, views):
+        self.views_left = views
+
+    def views(self, images, *, follows):
+        return [next(self.views_left) for _ in images]
+
+
+def test_each_camera_is_guided_until_all_are_known(tmp_path, shown):
+    session, views = CameraSession(Silent(), tmp_path / "rec", shown.target), list(views_of(shown))
+    session._finder.close()
+    session._finder = Prepared(view for view in views for _ in range(2))
+    for k in range(10):
+        for name in ("cam0", "cam1"):
+            session.take_image(ImageArrival(10**18 + 10**8 * k, GREY, name))
+        state = session.look_at_arrivals()
+    assert state.advice.startswith("cam0: ")
+    first = session.document()["picture"]
+    session.coaches["cam0"].take_outcome(TrialOutcome(verdict="pass"))
+    for name in ("cam0", "cam1"):
+        session.take_image(ImageArrival(10**18 + 10**9, GREY, name))
+    state = session.look_at_arrivals()
+    assert state.advice.startswith("cam1: ")
+    assert not state.confirmed
+    assert first.startswith("cam0-")
+    assert session.document()["picture"].startswith("cam1-")
+    session.coaches["cam1"].take_outcome(TrialOutcome(verdict="pass"))
+    for name in ("cam0", "cam1"):
+        session.take_image(ImageArrival(10**18 + 2 * 10**9, GREY, name))
+    assert session.look_at_arrivals().confirmed
+    session.end_recording()
+
+
 def test_missing_frames_are_named(tmp_path, shown):
     session = CameraSession(Silent(), tmp_path / "rec", shown.target)
     for k in range(30):

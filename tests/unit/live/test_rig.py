@@ -1,11 +1,13 @@
 """A guided capture of a camera with an IMU: what was turned and shaken, and what a calibration of it says."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.live.board_coach import speed_of_corners
 from gnomon.live.coach import Coach
 from gnomon.live.faults import Fault
 from gnomon.live.hand import imu_sentence
@@ -112,6 +114,24 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
     assert dict(state.bars)["precision: translation"] == 2.0
 
 
+def lens_of(simulation):
+    return simulation.recording.cameras["cam0"].camera
+
+
+def test_the_speed_of_the_board_in_the_image_is_shown(waved):
+    views = list(islice(views_of(waved), 2))
+    same = replace(views[0], pixels=np.add(views[0].pixels, [3.0, 4.0]))
+    assert speed_of_corners((0, views[0]), (10**7, same)) == pytest.approx(500.0)
+    coach = RigCoach(waved.target, lens_of(waved), MotionCoach(GENERAL_RIG))
+    lights = {name: (value, good) for name, value, good in show(coach, waved, 2).document()["lights"]}
+    assert lights["speed"][0].endswith(" px/s")
+    assert lights["speed"][1]
+    stamps = waved.recording.cameras["cam0"].t_ns.tolist()
+    fast = replace(views[1], pixels=np.add(views[1].pixels, [150.0, 0.0]))
+    state = coach.look_at_image(stamps[2], GREY, fast, STATISTICS, seconds=0.2, rate_hz=10.0)
+    assert ["speed", f"{state.speed_px_s:.0f} px/s", False] in state.document()["lights"]
+
+
 def with_axes(waved, matrix):
     """Return the recording with the gyroscope's axes mixed by a matrix (3, 3)."""
     imu = waved.recording.imus["imu0"]
@@ -148,7 +168,7 @@ def test_a_trial_reads_the_samples_as_the_ordinary_command_does(tmp_path, waved)
         SilentImu(),
         tmp_path / "rec",
         waved.target,
-        lens=waved.recording.cameras["cam0"].camera,
+        lenses={"cam0": waved.recording.cameras["cam0"].camera},
         use=GENERAL_RIG,
     )
     session.samples.take_line(b"time [ns],ax [m/s^2],ay,az,gx [rad/s],gy,gz")
@@ -167,9 +187,8 @@ def test_a_trial_reads_the_samples_as_the_ordinary_command_does(tmp_path, waved)
 
 def test_both_streams_are_read_again_as_they_were(tmp_path, waved):
     session = RigSession(
-        SilentCamera(), SilentImu(), tmp_path / "rec", waved.target, lens=waved.recording.cameras["cam0"].camera,
-        use=GENERAL_RIG,
-    )  # fmt: skip
+        SilentCamera(), SilentImu(), tmp_path / "rec", waved.target, lenses={"cam0": lens_of(waved)}, use=GENERAL_RIG
+    )
     for k in range(100):
         session.samples.take_line(imu_sentence(5000 * k, (0.1, 0.2, 9.8, 0.1 * (k % 7), 0.2, 0.3, 25.0)))
         if k % 10 == 0:

@@ -143,15 +143,15 @@ class Live(Command):
         files = files_beside(Path(images.place or "-"), {"cam": self.cam, "imu": self.imu})[0]
         texts = {_COPIED[name]: path.read_text(encoding="utf-8") for name, path in files.items() if path is not None}
         if files["cam"] is not None:
-            lens = next(iter(read_cameras(files["cam"]).values())).camera
+            lenses = {name: stated.camera for name, stated in read_cameras(files["cam"]).items()}
         elif self.source[0].startswith("simulate"):
             simulation = simulate_rig(self.source[0].partition(":")[2])
             texts = dict(simulated_texts(simulation)) | texts
-            lens = simulation.recording.cameras["cam0"].camera
+            lenses = {name: frames.camera for name, frames in simulation.recording.cameras.items()}
         else:
             raise OptionError("--cam is missing: the file of the camera and its intrinsics, as gnomon camera makes it.")
         use = read_use_option(self.use) or GENERAL_RIG
-        session = RigSession(images, samples, self.output, target, lens=lens, use=use, units=units)
+        session = RigSession(images, samples, self.output, target, lenses=lenses, use=use, units=units)
         for name, text in (texts | {"target.yaml": target_text(target)}).items():
             write_whole(self.output / name, text)
         return session

@@ -64,7 +64,7 @@ function showBars(bars) {
 function show(next) {
   if (state && next.phase + next.region !== state.phase + state.region) beep(next.confirmed ? 1320 : 880);
   state = next;
-  if (next.picture >= 0 && String(next.picture) !== asked) picture.src = `picture?at=${asked = String(next.picture)}`;
+  if (next.picture && next.picture !== asked) picture.src = `picture?at=${asked = next.picture}`;
   showLights(next.lights);
   showBars(next.bars);
   draw();
