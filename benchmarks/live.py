@@ -7,6 +7,8 @@
     python benchmarks/live.py kill                      kill -9 at random moments
     python benchmarks/live.py coach                     CPU time and memory of a long capture
     python benchmarks/live.py rig --seconds 60          a camera at 30 Hz with an IMU at 200 Hz
+    python benchmarks/live.py page --seconds 60         from a sample's arrival to the page
+    python benchmarks/live.py memory                    24 h of samples, as fast as they are taken
 
 The hand turns the sensor to where it is asked to with 10 degrees of noise, pays no attention one time in five, and
 takes about 4 s a step. Unguided, it takes attitudes at random, and is told by the same rule when it is enough; the
@@ -14,6 +16,7 @@ tutorial asks for 36 to 50.
 """
 
 import argparse
+import json
 import os
 import resource
 import signal
@@ -24,15 +27,19 @@ import threading
 import time
 from collections import Counter
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 
 import gnomon
 from gnomon.assess.needs import needs_of_use
+from gnomon.live.coach import Coach
 from gnomon.live.hand import SimulatedHand, imu_sentence
 from gnomon.live.image_sources import ImageArrival, ImageSource
+from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.prospect import look_ahead
 from gnomon.live.rig_session import RigSession
 from gnomon.live.session import LiveSession
@@ -373,6 +380,55 @@ def study_coach(minutes):
         session.end_recording()
 
 
+def study_page(seconds):
+    """Run the command with a page, and hold the moment a browser is sent a sample against that of its arrival."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "rec"
+        words = [sys.executable, "-m", "gnomon", "live", "imu", "simulate:1", "--no-report", "-o", str(folder)]
+        quiet = {**os.environ, "BROWSER": "true"}
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=quiet, text=True)
+        address = process.stdout.readline().split()[1]
+        came = {}
+        with urlopen(address.replace("/?", "/events?")) as events:
+            end = time.monotonic() + seconds
+            for line in events:
+                if line.startswith(b"data: [["):
+                    now_ns = time.time_ns()
+                    came.update({round(1e4 * row[0]): now_ns for row in json.loads(line[6:])})
+                if time.monotonic() > end:
+                    break
+        process.kill()
+        process.wait()
+        late_ms = []
+        for line in (folder / "samples.log").read_text().splitlines():
+            stamp, _, said = line.partition(" -> ")
+            there = came.get(round(int(said.split(",")[1]) / 100)) if said.startswith("$IMUSI") else None
+            if there is not None:
+                arrived = datetime.fromisoformat(stamp).replace(tzinfo=UTC).timestamp()
+                late_ms.append(1e-6 * there - 1e3 * arrived)
+    median, p95, most = np.quantile(late_ms, [0.5, 0.95, 1.0])
+    print(f"page: {len(late_ms)} samples in {seconds:.0f} s; sent {median:.0f} ms after their arrival (median), "
+          f"{p95:.0f} (p95), {most:.0f} (most)")  # fmt: skip
+
+
+def study_memory(hours=24, rate_hz=20):
+    """Take a day of lines of a sensor that is left alone, for two coaches, and look every 2 s of it."""
+    for coach in (NoiseCoach, Coach):
+        rng = np.random.default_rng(1)
+        rows = [",".join(f"{value:.6f}" for value in rng.normal(UPRIGHT, 0.01)).encode() for _ in range(6000)]
+        with tempfile.TemporaryDirectory() as place:
+            session = LiveSession(Silent(), Path(place) / "rec", USES["ahrs"], coach=coach)
+            session.take_line(b"t_us,ax,ay,az,gx,gy,gz")
+            for k in range(hours * 3600 * rate_hz):
+                session.take_line(b"%d,%s" % (k * 1_000_000 // rate_hz, rows[k % len(rows)]))
+                if k % (2 * rate_hz) == 0:
+                    state = session.look_at_arrivals()
+                if k % (6 * 3600 * rate_hz) == 3600 * rate_hz or k == hours * 3600 * rate_hz - 1:
+                    now = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+                    print(f"memory: {coach.__name__}, {state.seconds / 3600:.1f} h: {now:.0f} MB", flush=True)
+            session.end_recording()
+
+
 class PacedImages(ImageSource):
     """Images that were rendered before, in the order of time and back again, at 30 Hz whatever becomes of them."""
 
@@ -430,7 +486,7 @@ def study_rig(seconds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("hand", "serial", "faults", "setup", "kill", "coach", "rig"))
+    parser.add_argument("what", choices=("hand", "serial", "faults", "setup", "kill", "coach", "rig", "page", "memory"))
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=10.0)
@@ -447,6 +503,10 @@ def main():
         study_kill(given.seeds[0])
     elif given.what == "rig":
         study_rig(given.seconds)
+    elif given.what == "page":
+        study_page(given.seconds)
+    elif given.what == "memory":
+        study_memory()
     else:
         study_coach(given.minutes)
 

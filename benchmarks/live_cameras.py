@@ -4,8 +4,8 @@
     python benchmarks/live_cameras.py faults --seeds 100 110   what is wrong with images, and healthy captures
 
 The hand turns or shakes the rig about or along the axis that is asked for, with 10 degrees of noise, for 4 s; one time
-in five it does anything. What a calibration takes in the background passes meanwhile. Unguided, it does anything all
-the time, and is told by the same rule when it is enough; the how-to asks for one to two minutes.
+in five it does anything. What a calibration takes in the background passes meanwhile. Unguided, the rig is waved as the
+tutorial's is (motion "normal"), until a calibration serves; the how-to asks for one to two minutes.
 """
 
 import argparse
@@ -40,15 +40,15 @@ from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.images.board_images import rendered_cameras
 
 simulator = import_module("gnomon.simulate.camera_imu")
-STEP_S, LONGEST_S, LOOK_S = 4.0, 150.0, 0.5
-TURN_RAD, TURN_HZ, SHAKE_M, SHAKE_HZ = 0.25, 0.8, 0.07, 1.3
+STEP_S, EDGE_S, LONGEST_S, LOOK_S = 4.0, 0.7, 120.0, 0.5
+TURN_RAD, TURN_HZ, SHAKE_M, SHAKE_HZ, ROLL_RAD, ROLL_HZ = 0.25, 0.8, 0.07, 1.3, 1.5, 0.25
 TUTORIAL_S = 60.0
 GREY = np.random.default_rng(1).normal(120, 40, (48, 64)).clip(0, 255).astype(np.uint8)
 STATISTICS = replace(measure_image(GREY), size=(640, 480), low=20.0, high=200.0, blur_px=0.7, clipped=0.0)
 
 
 class SteppedPath(CameraPath):
-    """A path whose coordinates swing for one step after the other: sin(2 pi f t) sin^4(pi t / step)."""
+    """A path whose coordinates swing for one step after the other, with smooth edges: 6 x^5 - 15 x^4 + 10 x^3."""
 
     steps = ()  # of (amplitudes (9,), frequency in Hz)
 
@@ -58,9 +58,12 @@ class SteppedPath(CameraPath):
         for k, (amplitude, hz) in enumerate(self.steps):
             u = t_s - k * STEP_S
             on = (u > 0) & (u < STEP_S)
-            w, v = np.pi / STEP_S, 2 * np.pi * hz
-            s, c, a, b = np.sin(w * u[on]), np.cos(w * u[on]), np.sin(v * u[on]), np.cos(v * u[on])
-            g, dg, ddg = s**4, 4 * w * s**3 * c, 4 * w**2 * (3 * s**2 * c**2 - s**4)
+            v, u = 2 * np.pi * hz, u[on]
+            a, b = np.sin(v * u), np.cos(v * u)
+            x = np.clip(np.minimum(u, STEP_S - u) / EDGE_S, 0, 1)
+            way = np.where(u < STEP_S / 2, 1, -1) / EDGE_S
+            g = x**3 * (6 * x**2 - 15 * x + 10)
+            dg, ddg = 30 * x**2 * (x - 1) ** 2 * way, 60 * x * (2 * x**2 - 3 * x + 1) / EDGE_S**2
             value[:, on] += np.outer(amplitude, a * g)
             rate[:, on] += np.outer(amplitude, v * b * g + a * dg)
             curvature[:, on] += np.outer(amplitude, -(v**2) * a * g + 2 * v * b * dg + a * ddg)
@@ -97,9 +100,13 @@ class RigHand:
             amplitude[[5, 4, 3]] = TURN_RAD * way * rng.uniform(0.8, 1.3)
         if turns is not True:
             amplitude[6:] = SHAKE_M * way * [1, -1, -1] * rng.uniform(0.8, 1.3)
+        if what == "roll" and obeys and rng.random() >= 0.2:
+            amplitude[:] = 0
+            amplitude[3] = ROLL_RAD * rng.uniform(0.8, 1.1)
+            turns = None
         amplitude += 0.15 * rng.standard_normal(9) * [0.1, 0.1, 0.1, *[TURN_RAD] * 3, *[SHAKE_M] * 3]
         hz = TURN_HZ if turns else SHAKE_HZ if turns is False else 0.5 * (TURN_HZ + SHAKE_HZ)
-        self.steps.append((amplitude, hz * rng.uniform(0.85, 1.15)))
+        self.steps.append((amplitude, (ROLL_HZ if amplitude[3] > 1 else hz) * rng.uniform(0.85, 1.15)))
         scenario = CameraImuScenario(duration_s=STEP_S * len(self.steps), camera_rate_hz=20.0)
         drawn, simulator.drawn_path = simulator.drawn_path, self._path
         try:
@@ -169,6 +176,18 @@ def captured(seed, use, *, obeys):
     return simulation, LONGEST_S, None
 
 
+def unguided(seed, use):
+    """Return after how many seconds a recording as the tutorial makes it serves a use, in steps of 10 s."""
+    simulation = simulator.simulate_camera_imu(CameraImuScenario(duration_s=LONGEST_S, camera_rate_hz=20.0), seed)
+    first_ns = int(simulation.recording.cameras["cam0"].t_ns[0])
+    for seconds in range(30, int(LONGEST_S), 10):
+        recording = until(simulation.recording, first_ns + seconds * 10**9)
+        found = try_calibration(recording, simulation.target, USES[use])
+        if found.verdict == "pass" and all(ratio <= 1 for _, ratio in found.needs):
+            return float(seconds)
+    return LONGEST_S
+
+
 def worst_error(result, simulation):
     """Return the largest of the errors of T_cam_imu and the time shift, over its standard deviation."""
     truth, sigma = simulation.truth_parameters, {p.name: p.sigma for p in result.diagnostics.parameters}
@@ -189,7 +208,7 @@ def study_hand(first, last):
     for use in ("vio",):
         guided, alone, ratios, worst, verdicts = [], [], [], [], Counter()
         for seed in range(first, last):
-            alone.append(captured(seed, use, obeys=False)[1])
+            alone.append(unguided(seed, use))
             simulation, seconds, reached = captured(seed, use, obeys=True)
             guided.append(seconds)
             end_ns = int(simulation.recording.cameras["cam0"].t_ns[0]) + int(seconds * 1e9)

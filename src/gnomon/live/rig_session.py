@@ -26,7 +26,9 @@ from .trials import Trial, TrialOutcome
 _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 4.0, 3.0, 20
 _CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
-_FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 4.0
+_FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
+_UNTILTED_S = 45.0  # from when on a calibration is tried of a rig that is not turned by 90 degrees
+_TILTED_RAD, _UNLIKE_RAD = np.radians(70.0), 0.1
 
 
 class MotionCoach(Coach):
@@ -35,13 +37,14 @@ class MotionCoach(Coach):
     Attributes
     ----------
     turned_s, shaken_s : (3,) faster than 0.3 rad/s, and by more than 1 m/s^2 [s]
+    up : (k, 3) directions in the IMU that pointed up, each unlike the others
     """
 
     remembered = 20_000
 
     def __init__(self, use: Use, stated: Units | None = None) -> None:
         super().__init__(use, stated)
-        self.turned_s, self.shaken_s = np.zeros(3), np.zeros(3)
+        self.turned_s, self.shaken_s, self.up = np.zeros(3), np.zeros(3), np.empty((0, 3))
         self._counted_ns = 0
 
     def _is_due(self, seconds: float, still_s: float) -> bool:
@@ -51,6 +54,9 @@ class MotionCoach(Coach):
         """Count what came since the last look."""
         imu = self.samples
         unit, force_unit = rate_unit_of(imu), ACCELEROMETER_UNITS_M_S2[imu.accelerometer.unit]
+        up = self.state.up
+        if up is not None and (self.up @ up < np.cos(_UNLIKE_RAD)).all():
+            self.up = np.vstack([self.up, up])
         since_ns, self._counted_ns = self._counted_ns, int(imu.accelerometer.t_ns[-1])
         for samples, factor, limit, counted in (
             (imu.gyroscope, unit, _FAST_RAD_S, self.turned_s),
@@ -60,6 +66,11 @@ class MotionCoach(Coach):
             if factor is not None and len(new) > 1:
                 moved = np.abs(factor * (new - (new.mean(axis=0) if samples is imu.accelerometer else 0))) > limit
                 np.add(counted, moved.mean(axis=0) * len(new) / samples.rate_hz, out=counted)
+
+    @property
+    def tilted_rad(self) -> float:
+        """The largest angle between two directions that pointed up."""
+        return float(np.arccos(np.clip(np.min(self.up @ self.up.T, initial=1.0), -1, 1)))
 
     def _faults(self, *, still: bool) -> Iterator[Fault]:
         return super()._faults(still=False)
@@ -104,7 +115,8 @@ class RigCoach(BoardCoach):
     @property
     def wants_calibration(self) -> bool:
         """Whether the motion so far may be enough."""
-        return not self._confirmed and self.state.phase == "trying" and self.state.seconds - self._tried_s >= _AGAIN_S
+        tried = self.state.phase == "trying" or (self.state.phase == "roll" and self._seconds >= _UNTILTED_S)
+        return not self._confirmed and tried and self.state.seconds - self._tried_s >= _AGAIN_S
 
     @property
     def wants_trial(self) -> bool:
@@ -128,6 +140,7 @@ class RigCoach(BoardCoach):
         found = {
             **{f"turned about {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.turned_s, strict=True)},
             **{f"shaken along {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.shaken_s, strict=True)},
+            "attitudes": self._motion.tilted_rad / _TILTED_RAD,
             "length": self._seconds / _SHORTEST_S,
         }
         return found | {f"precision: {name}": 1 / ratio for name, ratio in self._foreseen}
@@ -139,12 +152,18 @@ class RigCoach(BoardCoach):
             missing = [name[-1] for name, share in needs.items() if name.startswith(what) and share < 1]
             if missing:
                 return {"phase": f"{phase} {missing[0]}", "advice": say.format(axis=missing[0])}
+        if needs["attitudes"] < 1:
+            return {"phase": "roll", "advice": _ROLL}
         if needs["length"] < 1:
             left = _SHORTEST_S - self._seconds
             return {"phase": "more", "advice": f"Go on turning and shaking in front of the board, {left:.0f} s more."}
         return {"phase": "trying", "advice": self._not_yet or "Go on: a calibration is tried meanwhile."}
 
 
+_ROLL = (
+    "Turn it slowly by 90 degrees about the way the camera looks, and back, with the board in sight: gravity "
+    "tells more where it points to another side of the IMU."
+)
 _MOTIONS = {
     "turned": ("turn", "Turn it to and fro about the IMU's {axis} axis, briskly, with the board in sight."),
     "shaken": ("shake", "Move it to and fro along the IMU's {axis} axis, briskly, with the board in sight."),

@@ -39,14 +39,14 @@ class SilentImu(LiveSource):
         yield from ()
 
 
-def feed(coach, seconds, rate=(0.0, 0.0, 0.0), shake=(0.0, 0.0, 0.0), start=0, unit=1.0):
+def feed(coach, seconds, rate=(0.0, 0.0, 0.0), shake=(0.0, 0.0, 0.0), start=0, unit=1.0, up=(0.0, 0.0, 1.0)):
     """Send samples of a sensor that is turned to and fro at 1 Hz, and shaken at 3 Hz, and look twice a second."""
     rng = np.random.default_rng(start)
     for first in range(start, start + round(200 * seconds), 100):
         k = np.arange(first, first + 100)[:, None]
         way = np.sin(2 * np.pi * k / 200)
         omega = way * rate + 1e-3 * rng.standard_normal((100, 3))
-        force = [0, 0, 9.81] + np.sin(6 * np.pi * k / 200) * shake + 1e-2 * rng.standard_normal((100, 3))
+        force = 9.81 * np.array(up) + np.sin(6 * np.pi * k / 200) * shake + 1e-2 * rng.standard_normal((100, 3))
         t_ns = (10**18 + STEP_NS * k[:, 0]).astype(np.int64)
         samples = {
             "accelerometer": TriadSamples(t_ns=t_ns, values=force / unit, unit="g" if unit > 1 else "m/s^2"),
@@ -100,7 +100,10 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
     assert show(coach, waved, 20).phase == "turn y"
     sent = feed(motion, 12, rate=(0.0, 2.0, 0.0), shake=(4.0, 0.0, 4.0), start=sent)
     assert show(coach, waved, 20, first=20).phase == "shake y"
-    feed(motion, 12, shake=(0.0, 4.0, 0.0), start=sent)
+    sent = feed(motion, 12, shake=(0.0, 4.0, 0.0), start=sent)
+    assert show(coach, waved, 20, first=40).phase == "roll"
+    assert not coach.wants_calibration
+    feed(motion, 2, up=(0.0, 1.0, 0.0), start=sent)
     assert show(coach, waved, 20, first=40).phase == "more"
     assert show(coach, waved, 250, first=60).phase == "trying"
     assert coach.wants_trial
