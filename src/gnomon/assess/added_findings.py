@@ -1,13 +1,16 @@
 """What the model took up because the recording proved it to be there, with its size and what to do about it."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimate.camera_imu.layout import BorderLayout
-from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from ..findings import Finding, make_finding
 from ..recording import Floats
+
+if TYPE_CHECKING:
+    from ..estimate.camera_imu.layout import BorderLayout
+    from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
@@ -16,7 +19,7 @@ _DELAYED, _CERTAIN = "triads-apart", 3.0
 
 
 def added_findings(
-    added: tuple[str, ...], start: RigParameters, found: RigParameters, *, board_told: bool, arms_told: bool = False
+    added: tuple[str, ...], start: "RigParameters", found: "RigParameters", *, board_told: bool, arms_told: bool = False
 ) -> list[Finding]:
     """Say what was added to the model.
 
@@ -38,7 +41,7 @@ def added_findings(
 
 
 def delays_found(
-    noticed: Sequence[Finding], imus: Sequence[ImuParameters], sigmas_s: Mapping[int, float], *, decided: bool
+    noticed: Sequence[Finding], imus: "Sequence[ImuParameters]", sigmas_s: Mapping[int, float], *, decided: bool
 ) -> list[Finding]:
     """Return what was noticed before the estimation, with the delays of accelerometers as the estimation tells them.
 
@@ -77,7 +80,7 @@ def comparison_left_out(what: str, reason: str) -> Finding:
     return make_finding("comparison-left-out", what=what, reason=reason)
 
 
-def out_of_order(columns: BorderLayout, found: RigParameters) -> list[Finding]:
+def out_of_order(columns: "BorderLayout", found: "RigParameters") -> list[Finding]:
     """Say where g-sensitivity is estimated and what matters more, scale and misalignment, is taken for ideal."""
     findings: list[Finding] = []
     for i, imu in enumerate(found.imus):
@@ -90,7 +93,7 @@ def out_of_order(columns: BorderLayout, found: RigParameters) -> list[Finding]:
     return findings
 
 
-def _lever_arms(name: str, imu: ImuParameters) -> Finding:
+def _lever_arms(name: str, imu: "ImuParameters") -> Finding:
     apart = ", ".join(
         f"{axis} at {' '.join(f'{1e3 * value:.1f}' for value in place)} mm"
         for axis, place in zip("xyz", imu.places.tolist(), strict=True)
@@ -98,7 +101,7 @@ def _lever_arms(name: str, imu: ImuParameters) -> Finding:
     return make_finding("lever-arms-found", name=name, apart=apart, words=imu.origin.words)
 
 
-def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -> Finding:
+def _lens(stated: "CameraParameters", found: "CameraParameters", board_told: bool) -> Finding:
     before, after = stated.camera.intrinsics[-4:], found.camera.intrinsics[-4:]
     focal = float(np.mean(after[:2] / before[:2]) - 1)
     moved = float(np.linalg.norm(after[2:] - before[2:]))

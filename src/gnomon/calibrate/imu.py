@@ -41,9 +41,6 @@ from ..results.calibration import Calibration, Covariance, Gravity, Provenance, 
 from ..results.intervals import Booleans, interval_means
 from ..results.result import Result
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
-from .published.tedaldi import calibrate_as_published
-from .several_recordings import calibrate_several
 from .steps.imu_model import choose_model, refuse_evidence, with_fixed
 from .steps.preparation import (
     PreparedImu,
@@ -55,6 +52,7 @@ from .steps.preparation import (
     stated_options,
     weighted_stream,
 )
+from .steps.protocol import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, left_to_rests
 from .steps.temperature_while_turned import TemperatureSlopes, temperature_slopes
 
 _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
@@ -94,17 +92,21 @@ def calibrate_imu(
     if not isinstance(recording, Recording):
         check_arguments("calibrate_imu", *recording)
         if len(recording) != 1:
+            from .several_recordings import calibrate_several
+
             return calibrate_several(recording, options, tell, prior, calibrate_imu)
         (recording,) = recording
     refuse_own_data(prior, recording.sources)
     if by_rests(recording, options):
-        return calibrate_poses(recording, options, progress, prior)
+        return _by_rests(recording, options, progress, prior)
     tell("checking the recording")
     tolerated = LEFT_TO_RESTS if options.preset == "gnomon" else frozenset[str]()
     prepared = prepare_imu(recording, options, tolerated=tolerated)
     if tolerated and left_to_rests(prepared):
-        return calibrate_poses(recording, options, progress, prior, prepared)
+        return _by_rests(recording, options, progress, prior, prepared)
     if options.preset != "gnomon":
+        from .published.tedaldi import calibrate_as_published
+
         refuse_evidence(options, prior)
         return calibrate_as_published(recording, prepared, options, tell)
     gravity = local_gravity(options)
@@ -112,12 +114,24 @@ def calibrate_imu(
     detection = _static_intervals(prepared, options)
     readings = _readings(prepared, detection.chosen, options)
     if np.sum(readings.problem.data.linked) < FEWEST_ROTATIONS:
-        return calibrate_poses(recording, options, progress, prior, prepared)
+        return _by_rests(recording, options, progress, prior, prepared)
     known = gather_prior(prior, options, prepared.units, free=options.free, gravity=gravity)
     tell(f"fitting {len(readings.problem.data.accelerometer)} static intervals and the rotations between them")
     fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
     tell("assessing the result")
     return _assess(recording, prepared, fit, known=known, gravity=gravity, options=options)
+
+
+def _by_rests(
+    recording: Recording,
+    options: ImuOptions,
+    progress: Progress | None,
+    prior: Priors,
+    prepared: PreparedImu | None = None,
+) -> Result:
+    from .poses import calibrate_poses  # loaded where a recording asks for it
+
+    return calibrate_poses(recording, options, progress, prior, prepared)
 
 
 @value_class

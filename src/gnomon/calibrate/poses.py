@@ -13,7 +13,6 @@ from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_
 from ..assess.imu.poses_verdict import assess_poses
 from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior
-from ..detect.samples.threshold import FEWEST_INTERVALS
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
 from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
@@ -42,14 +41,8 @@ from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .published.angrisano import calibrate_poses_as_published
 from .steps.imu_model import refuse_evidence
 from .steps.pose_gyroscope import fit_gyroscope_at_rest
-from .steps.pose_preparation import PreparedPoses, prepare_poses, recording_gaps
+from .steps.pose_preparation import PreparedPoses, prepare_poses
 from .steps.preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
-
-LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})
-"""What the data doctor holds against a multi-position recording, and what rests alone may do without."""
-
-FEWEST_ROTATIONS = 3
-"""With fewer rotations that the gyroscope measured whole, it is judged by its rests."""
 
 _FEWEST_DETERMINED = 9
 _APART_RAD = np.radians(10.0)
@@ -59,31 +52,6 @@ _MISALIGNMENT = 0.02
 _JIG_RAD = np.radians(1.0)
 _ROUNDS = 6
 _TEXTBOOK = (9.8, 9.81, 9.807, 9.80665)
-
-
-def by_rests(recording: Recording, options: ImuOptions) -> bool:
-    """Tell whether a recording is calibrated from its rests alone: its content or an option says so."""
-    if recording.poses is not None or recording.pieces or options.preset == "angrisano" or options.model == "static":
-        return True
-    return bool(recording.imus) and not len(next(iter(recording.imus.values())).gyroscope)
-
-
-def left_to_rests(prepared: PreparedImu) -> bool:
-    """Tell whether a recording is a static experiment: few rests, or the time between them was cut out.
-
-    Raises
-    ------
-    DetectionError
-        If the gyroscope shows only noise although the rotations were recorded.
-    """
-    problems = {f.code: f for f in prepared.findings if f.severity == "problem" and f.code in LEFT_TO_RESTS}
-    silent = problems.get("gyroscope-silent")
-    if silent is not None and np.sum(recording_gaps(prepared.accelerometer)) < FEWEST_POSES - 1:
-        raise DetectionError(str(silent))
-    rests = prepared.rests
-    return bool(problems) or (
-        rests is not None and max(len(trial.intervals) for trial in rests.trials) <= FEWEST_INTERVALS
-    )
 
 
 def calibrate_poses(

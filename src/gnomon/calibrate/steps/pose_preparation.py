@@ -27,13 +27,13 @@ from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
 from .preparation import PreparedImu, assumption_finding, check_and_detect, raise_first_problem
+from .protocol import GAP_NS, recording_gaps
 
 TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what does not matter here."""
 
 _MULTIPLIER = 10.0
 _SHORTEST_S = 0.5
-_GAP_NS, _GAP_STEPS = 500_000_000, 20
 _PARTS_OF_PIECE = 4  # windows in the shortest file of a pose
 _FEWEST_SAMPLES = 8
 _OTHER_ATTITUDE = 0.05  # of the range of all means
@@ -99,12 +99,6 @@ def _without_gaps(samples: TriadSamples) -> TriadSamples:
     steps = np.diff(samples.t_ns)
     t_ns = samples.t_ns[0] + np.concatenate([[0], np.cumsum(np.where(gaps, int(np.median(steps)), steps))])
     return replace(samples, t_ns=t_ns)
-
-
-def recording_gaps(samples: TriadSamples) -> Booleans:
-    """Return which steps from sample to sample are times that were not recorded, (n - 1,)."""
-    steps = np.diff(samples.t_ns)
-    return steps > max(_GAP_NS, _GAP_STEPS * np.median(steps)) if len(steps) else np.empty(0, dtype=bool)
 
 
 def _from_table(poses: Poses) -> PreparedPoses:
@@ -173,7 +167,7 @@ def _rotations(
         return None
     first, lengths = segments_between(t_s, t_s[at_rest.stop[:-1] - 1], t_s[at_rest.start[1:]])
     longest = [np.max(np.diff(t_s[a : a + n]), initial=0.0) for a, n in zip(first, lengths, strict=True)]
-    if min(longest) > 1e-9 * _GAP_NS:  # the time between poses was cut out
+    if min(longest) > 1e-9 * GAP_NS:  # the time between poses was cut out
         return None
     segments = cut_segments(t_s, gyroscope.values, gyroscope.values, first, lengths)
     means = interval_means(gyroscope.values, at_rest)

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
 from ...results.calibration import Calibration
-from ..camera_parameters import camera_groups, lens_groups, pose_groups
 from ..imu_parameters import imu_groups, parameter_groups
 from ..numbers import MISSING, fixed_text, number_text, readable_unit
 from ..page import ParameterGroup, ReportTable
@@ -76,8 +75,9 @@ def _called(group: str, name: str) -> str:
     return f"{group} {rest}" if rest and group.lower().split()[-1] == first.lower() else f"{group}: {name}"
 
 
-def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
-    """Yield the groups of parameters for page one, and the words before their titles."""
+def _camera_groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
+    from ..camera_parameters import camera_groups, lens_groups, pose_groups  # loaded where there are cameras
+
     cameras, several = calibration.cameras, len(calibration.cameras) > 1
     for name in cameras:
         where = f"{name} " if several else ""
@@ -86,9 +86,15 @@ def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
         yield from ((where, group) for group in groups if not calibration.imus or group.title in shown)
         if not calibration.imus and name != cameras[name].body:
             yield from ((where, group) for group in pose_groups(calibration, name))
-    if cameras and not calibration.imus:
-        return
-    groups = [g for name in calibration.imus for g in imu_groups(calibration, name)] if cameras else ()
+
+
+def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
+    """Yield the groups of parameters for page one, and the words before their titles."""
+    if calibration.cameras:
+        yield from _camera_groups(calibration)
+        if not calibration.imus:
+            return
+    groups = [g for name in calibration.imus for g in imu_groups(calibration, name)] if calibration.cameras else ()
     groups = groups or parameter_groups(calibration)
     for group in sorted(groups, key=lambda group: "Magnetometer" not in group.title):  # the accelerometer serves it
         if group.title.endswith(_MATTERS):
