@@ -84,7 +84,7 @@ fuzz: dev
 docs: dev
 	$(BIN)/python $(INSTALL) --group docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
-	@echo "site/index.html"
+	@echo "site/index.html; with search: $(BIN)/python -m http.server -d site"
 
 # Runs them anew, with their pictures; a cell that fails ends it.
 notebooks: dev

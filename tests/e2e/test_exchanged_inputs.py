@@ -48,8 +48,8 @@ CASES = {
     "camera-imu log.csv": "log.csv: this is a text file, which holds no images",
     "verify result poses.csv": "the recording of averages alone: nothing to verify",
     "batch --kind imu log.csv": "log.csv: this is a file. Name the folder with the recordings",
-    "turntable --rate 33rpm": "the following arguments are required: PATH",
-    "live imu": "the following arguments are required: SOURCE",
+    "turntable --rate 33rpm": "PATH is missing",
+    "live imu": "SOURCE is missing",
     "live imu /dev/ttyUSB0 -o live": "Name it as serial:/dev/ttyUSB0",
     "batch runs": "--kind imu | camera-imu | camera | magnetometer is missing",
 }

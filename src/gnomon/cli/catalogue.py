@@ -69,6 +69,17 @@ SIMULATED = [name.partition(" ")[2] for name in _CLASSES if " " in name]
 """What can be simulated."""
 
 
+_MEANT = {
+    "calibrate": "imu, camera-imu, camera, turntable, magnetometer or noise",
+    "accel": "imu", "accelerometer": "imu", "gyro": "imu or turntable", "gyroscope": "imu or turntable",
+    "mag": "magnetometer", "compass": "magnetometer", "allan": "noise", "lens": "camera", "intrinsics": "camera",
+    "extrinsics": "camera-imu", "stereo": "camera", "board": "target", "record": "live", "read": "check",
+    "info": "check", "validate": "verify or check", "export": "convert", "correct": "apply", "diff": "compare",
+    "report": "show or certificate", "print": "show", "generate": "simulate",
+}  # fmt: skip
+"""What other programs and people call it -> the command."""
+
+
 class _Commands(Mapping[str, type[Command]]):
     """The classes of the commands by name; a file is imported when its command is asked for."""
 
@@ -120,16 +131,23 @@ def _split_name(words: Sequence[str]) -> tuple[str, Sequence[str]]:
     if first == "simulate":
         is_kind = bool(others) and not others[0].startswith("-")
         kind, others = (others[0], others[1:]) if is_kind else ("imu", others)
-    if kind in SIMULATED:
+    if kind in SIMULATED and [*words] != ["simulate"]:
         return f"simulate {kind}", others
     if kind:
-        raise OptionError(f"gnomon simulate {kind}: of what? It is one of {join_names(SIMULATED, 'or')}.")
+        near = [] if kind in SIMULATED else get_close_matches(kind, SIMULATED, 1)
+        meant = f" Did you mean {near[0]}?" if near else ""
+        raise OptionError(f"gnomon simulate KIND: KIND is one of {join_names(SIMULATED, 'or')}.{meant}")
     if first in _CLASSES:
         return first, others
-    near = get_close_matches(first, _CLASSES, 1)
-    meant = f"Did you mean {near[0]}?" if near else "gnomon --help lists them."
-    what = "option before the command" if first.startswith("-") else "command"
-    raise OptionError(f"there is no {what} {first}. {meant}")
+    if first.startswith("-"):
+        near = get_close_matches(first, ["--version", "--help"], 1)
+        meant = f"Did you mean {near[0]}?" if near else "Options stand behind it; gnomon COMMAND --help lists them."
+        raise OptionError(f"there is no option {first} before the command. {meant}")
+    near = get_close_matches(first, _CLASSES, 1, cutoff=0.65)
+    meant = _MEANT.get(first.lower()) or next(iter(near), None)
+    raise OptionError(
+        f"there is no command {first}. {f'Did you mean {meant}?' if meant else 'gnomon --help lists them.'}"
+    )
 
 
 def _help() -> str:

@@ -28,7 +28,8 @@ MISTAKES = {
     "simulate cameras -o x --resolution 640": "expected 2 arguments",
     "simulate cameras -o x --resolution 640 4x": "expected a whole number",
     "simulate platter-video -o x --hidden 1 2 3": "expected 2 for each",
-    "simulate": "--output",
+    "simulate": "KIND is one of imu, poses",
+    "simulate imu": "--output",
     "apply c.yaml a b c -o x": "one too many: c",
 }
 

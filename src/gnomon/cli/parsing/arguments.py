@@ -74,12 +74,15 @@ class Entry(NamedTuple):
     @property
     def called(self) -> str:
         """What it is called on the line."""
-        return self.metavar if self.argument.positional else self.names[-1]
+        if not self.argument.positional:
+            return self.names[-1]
+        return self.place[-1].upper() if self.choices and not self.argument.metavar else self.metavar
 
     @property
     def choices(self) -> tuple[str, ...]:
         """The words that it can have; none where they are not numbered."""
-        return tuple(str(one) for kind in self._kinds if get_origin(kind) is Literal for one in get_args(kind))
+        named = (str(one) for kind in self._kinds if get_origin(kind) is Literal for one in get_args(kind))
+        return tuple(dict.fromkeys(named))
 
     @property
     def metavar(self) -> str:

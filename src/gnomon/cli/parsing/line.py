@@ -64,7 +64,8 @@ class LineParser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong with the line."""
-        raise OptionError(f"{message.removeprefix('argument ')}. {self.prog} --help shows the options.")
+        message = re.sub("^the following arguments are required: (.*)", r"\1 is missing", message)
+        raise OptionError(f"{message.removeprefix('argument ')}. {self.prog} --help shows the options, and examples.")
 
 
 def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) -> Iterator[tuple[Place, Any]]:

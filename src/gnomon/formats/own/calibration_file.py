@@ -341,7 +341,7 @@ def _checked_minor(root: Node) -> int:
     if not isinstance(root.value, dict) or not isinstance(root.value.get("schema"), str):
         raise root.fail(
             'this is no gnomon calibration: it does not begin with "schema: gnomon/1". '
-            "Give the calibration.yaml that gnomon wrote."
+            "Give the calibration.yaml that gnomon wrote. Is it the recording, given in the place of the calibration?"
         )
     stated = root.child("schema")
     match = re.fullmatch(r"gnomon/(\d{1,6})(?:\.(\d{1,6}))?", stated.value)
