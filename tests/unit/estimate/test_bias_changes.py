@@ -71,6 +71,16 @@ def test_a_warm_up_is_no_step(find):
         assert not found.steps
 
 
+@pytest.mark.parametrize("count", range(17, 24))
+def test_recordings_of_about_twenty_rests_are_searched_for_another_sensor(count):
+    rng = np.random.default_rng(7)
+    means = (9.8 * directions(rng) + SIGMA * rng.normal(size=(N, 3)))[:count]
+    rests = RestMeans(
+        rest=np.arange(count), t_s=T_S[:count], half_s=HALF_S[:count], means=means, variance=SIGMA[:count] ** 2
+    )
+    assert not accelerometer_changes(rests)
+
+
 def test_a_rest_that_stands_out_is_no_step():
     rng = np.random.default_rng(4)
     bias = np.zeros((N, 3))

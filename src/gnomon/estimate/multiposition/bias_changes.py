@@ -457,7 +457,7 @@ def _explained_before(some: _Whitened, base: Floats, left: Floats, before: Float
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns /= np.where(size > 0, size, 1.0)
     columns -= base @ (_across(base) @ columns)
-    by_left = (_across(columns) @ left).reshape(kinds, len(cuts), count, -1)
+    by_left = (_across(columns) @ left).reshape(kinds, len(cuts), count, left.shape[2])
     gram = _products(columns.reshape(kinds, n, len(cuts), count)) + _TOLD * np.eye(count)
     return np.sum(by_left * np.linalg.solve(gram, by_left), axis=2)
 
