@@ -200,8 +200,10 @@ def _jumps(means: Floats, first: Integers, last: Integers) -> tuple[Booleans, In
         sigma = noise * np.sqrt(1 / (at - low) + 1 / (high - at))[:, None]
         size = np.abs(step) / np.where(sigma > 0, sigma, np.inf)
         k, axis = np.unravel_index(np.argmax(size), size.shape)
+        if size[k, axis] <= _JUMP_SIGMA:
+            continue
         whole = np.median(own[at[k] :, axis]) - np.median(own[: at[k], axis])
-        if size[k, axis] > _JUMP_SIGMA and whole / step[k, axis] > _KEPT:
+        if whole / step[k, axis] > _KEPT:
             cuts.append(int(a + at[k]))
             marked[cuts[-1] - 1 : cuts[-1] + 1] = True
     cut = np.array(cuts, dtype=np.int64)

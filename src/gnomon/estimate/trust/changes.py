@@ -438,7 +438,7 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
     gain = np.concatenate([-root.T @ by_rest.T, root.T], axis=1)  # (r, k): of w by the rows of the equations
     w = gain @ right
     step = np.concatenate([without - by_rest @ root @ w, root @ w])
-    arm = np.einsum("rk,nk,pk->nrp", gain, on, design, optimize=True)  # of w by each pull
+    arm = (gain * on[:, None]) @ design.T  # of w by each pull, (n, r, p)
     weighed = arm @ sums.information
     left = sums.pull - np.einsum("npq,nq->np", sums.information, (on * step) @ design.T)
     return _Estimate(
@@ -447,7 +447,7 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
         w=w,
         moves=np.einsum("nrp,np->nr", arm, left),
         by_errors=weighed @ np.swapaxes(arm, 1, 2),
-        shared=np.einsum("nrp,pk,nk->nrk", weighed, design, on, optimize=True),
+        shared=weighed @ design * on[:, None],
         common=np.asarray(np.linalg.inv(normal), dtype=np.float64),
     )
 
@@ -469,7 +469,7 @@ def _design(sums: ClusterSums, terms: Sequence[_Term]) -> tuple[Floats, Floats]:
 def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes."""
     p, k = design.shape
-    right = np.einsum("pk,nk,np->k", design, on, sums.pull, optimize=True)
+    right = np.sum(on * (sums.pull @ design), axis=0)
     normal = np.zeros((k, k))
     starts = [0, *(np.flatnonzero(np.any(on[:, 1:] != on[:, :-1], axis=0)) + 1), k]  # columns that act alike
     alike = [slice(low, high) for low, high in pairwise(starts)]
