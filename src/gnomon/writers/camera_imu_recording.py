@@ -141,6 +141,9 @@ def simulated_texts(simulation: CameraImuSimulation, room: RoomScenario | None =
     """Yield name and text of the small files beside a recording: what is known beforehand, and what is true."""
     recording, found = simulation.recording, simulation.statistics
     chain = {name: camera_node(frames.camera) for name, frames in recording.cameras.items()}
+    if room is not None and len(chain) > 1:  # without a board nothing else tells it
+        poses = [camera.T_cam_imu for camera in simulation.truth.cameras.values()]
+        chain["cam1"]["T_cn_cnm1"] = poses[1] @ np.linalg.inv(poses[0])
     yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)
     yield "imu.yaml", _noise_text(simulation)
     if room is None:

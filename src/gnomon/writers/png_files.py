@@ -1,29 +1,18 @@
 """Images -> PNG files, a few of them encoded at the same time."""
 
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+from ..ahead import results_ahead
 from ..errors import RecordingError
 from ..output import whole_folder
 from ..progress import Progress, Step
 from ..recording.images import Frame, ImageStream
 
-_WORKERS, _AHEAD = 2, 8
-
 
 def encode_frames(frames: Iterable[Frame]) -> Iterator[tuple[int, bytes | RecordingError]]:
     """Yield the timestamp [ns] and the PNG of each frame, or what is wrong with it; none is kept."""
-    waiting: deque[tuple[int, Future[bytes | RecordingError]]] = deque()
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        for frame in frames:
-            waiting.append((frame.t_ns, pool.submit(_png, frame)))
-            if len(waiting) >= _AHEAD:
-                t_ns, result = waiting.popleft()
-                yield t_ns, result.result()
-        for t_ns, result in waiting:
-            yield t_ns, result.result()
+    return results_ahead(lambda frame: (frame.t_ns, _png(frame)), frames)
 
 
 def _png(frame: Frame) -> bytes | RecordingError:

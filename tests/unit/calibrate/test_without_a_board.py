@@ -21,18 +21,33 @@ SMALL = RoomScenario(
 )
 
 
+def decoded_once(stream):
+    """Return images that are rendered once: they are asked for four times."""
+    pictures = list(stream.frames([]))
+    decoded = [frame.decode() for frame in pictures]
+    kept = [replace(frame, decode=lambda image=image: image) for frame, image in zip(pictures, decoded, strict=True)]
+    return replace(stream, frames=lambda _: iter(kept))
+
+
 def mapped(scenario, seed=5):
     """Return what is true, and landmarks and frames of a rendered recording."""
     simulation = simulate_camera_imu(scenario.rig(), seed)
     images = room_images(scenario, simulation)
-    stream, samples = images.streams["cam0"], images.imus["imu0"]
-    pictures = list(stream.frames([]))
-    decoded = [frame.decode() for frame in pictures]  # once: they are asked for four times
-    kept = [replace(frame, decode=lambda image=image: image) for frame, image in zip(pictures, decoded, strict=True)]
-    stream = replace(stream, frames=lambda _: iter(kept))
-    unstated = CameraInput(camera=replace(stream.camera, line_delay_s=0.0))
-    frames, target, findings = map_landmarks("cam0", stream, unstated, samples, lambda _: None)
-    return simulation, Recording(imus={"imu0": samples}, cameras={"cam0": frames}, findings=findings), target
+    samples = images.imus["imu0"]
+    streams = {name: decoded_once(stream) for name, stream in images.streams.items()}
+    cameras = simulation.truth.cameras
+    near = np.array([[1.0, 0.01, 0.0, 0.003], [-0.01, 1.0, 0.005, 0.0], [0.0, -0.005, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    unstated = {
+        name: CameraInput(
+            camera=replace(camera.camera, line_delay_s=0.0),
+            T_cam_cam0=near @ camera.T_cam_imu @ np.linalg.inv(cameras["cam0"].T_cam_imu)
+            if name != "cam0"
+            else np.eye(4),
+        )
+        for name, camera in cameras.items()
+    }
+    frames, target, findings = map_landmarks(streams, unstated, samples, lambda _: None)
+    return simulation, Recording(imus={"imu0": samples}, cameras=frames, findings=findings), target
 
 
 @pytest.mark.long
@@ -87,14 +102,27 @@ def test_too_few_landmarks_are_refused(monkeypatch):
         mapped(replace(SMALL, duration_s=3.0))
 
 
-def test_of_several_cameras_the_first_is_calibrated_and_the_others_are_told_how(monkeypatch):
-    monkeypatch.setattr(landmark_map, "map_landmarks", lambda *_: ("frames", "landmarks", ()))
-    images = SimpleNamespace(imus={"imu0": None}, streams={"cam0": None, "cam1": None})
+@pytest.mark.long
+def test_a_second_camera_finds_the_landmarks_of_the_first():
+    simulation, recording, target = mapped(replace(SMALL, cameras=2, duration_s=7.0, camera_rate_hz=12.0))
+    calibration = gnomon.calibrate_camera_imu(recording, target).calibration
+    assert calibration.verdict != "fail"
+    for name, truth in simulation.truth.cameras.items():
+        found, sigma = calibration.cameras[name], calibration.sigma(f"{name}.T_cam_imu.translation")
+        assert (sigma < 3e-3).all()
+        assert (abs(found.T_cam_imu - truth.T_cam_imu)[:3, 3] < 4 * sigma).all()
+        shift = abs(found.time_shift_cam_imu - truth.time_shift_cam_imu)
+        assert shift < 4 * calibration.sigma(f"{name}.time_shift_cam_imu") < 4e-4
+
+
+def test_a_camera_whose_pose_nothing_states_is_left_out(monkeypatch):
+    monkeypatch.setattr(landmark_map, "map_landmarks", lambda _, cameras, *__: (list(cameras), "landmarks", ()))
+    images = SimpleNamespace(imus={"imu0": None}, streams={})
+    unplaced, placed = CameraInput(camera=None), CameraInput(camera=None, T_cam_cam0=np.eye(4))
     notes: list[str] = []
-    cameras, _, _ = _mapped(images, {"cam0": None, "cam1": None}, print, notes)
-    assert list(cameras) == ["cam0"]
+    assert _mapped(images, {"cam0": placed, "cam1": unplaced, "cam2": placed}, print, notes)[0] == ["cam0", "cam2"]
     (note,) = notes
-    assert "For cam1 give --cam a file of cam1 alone" in note
+    assert note.startswith("the images of cam1 were left out")
 
 
 def test_images_of_another_size_are_refused():
@@ -102,4 +130,4 @@ def test_images_of_another_size_are_refused():
     images = room_images(SMALL, simulation)
     lens = replace(images.streams["cam0"].camera, resolution=(640, 480))
     with pytest.raises(RecordingError, match="400 x 300"):
-        map_landmarks("cam0", images.streams["cam0"], CameraInput(camera=lens), images.imus["imu0"], lambda _: None)
+        map_landmarks(images.streams, {"cam0": CameraInput(camera=lens)}, images.imus["imu0"], lambda _: None)

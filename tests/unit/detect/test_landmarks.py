@@ -65,7 +65,7 @@ def test_landmarks_are_found_in_a_turned_view(near):
     R, p = rotation_from_rotvec(np.array([0.03, -0.05, 0.35])), np.array([0.05, -0.03, 0.1])
     view = cv2.warpPerspective(image, K @ (R + np.outer(p, [0, 0, 0.5])) @ np.linalg.inv(K), (240, 180))
     off = np.array([0.004, -0.003, 0.0]) if near else np.array([0.04, -0.03, 0.0])
-    which, found = landmarks.find(view, rotation_from_rotvec(off) @ R, p, reach_px=20.0, near=near)
+    which, found = landmarks.find(view, LENS, rotation_from_rotvec(off) @ R, p, reach_px=20.0, near=near)
     assert which.tolist() == [0, 1, 2]
     assert np.abs(found - LENS.project(points @ R.T + p).pixels).max() < 0.1
 
@@ -87,7 +87,7 @@ def test_perspective_within_a_piece_does_not_move_landmarks_together():
     )
     R = rotation_from_rotvec(np.array([0.0, 0.35, 0.0]))
     view = cv2.warpPerspective(image, K @ R @ np.linalg.inv(K), (240, 180), flags=cv2.INTER_CUBIC)
-    which, found = landmarks.find(view, R, np.zeros(3), reach_px=20.0, near=True)
+    which, found = landmarks.find(view, LENS, R, np.zeros(3), reach_px=20.0, near=True)
     assert len(which) > 10
     off = found - LENS.project(points[which] @ R.T).pixels
     assert abs(off.mean(axis=0)[0]) < 0.02
@@ -106,7 +106,7 @@ def test_landmarks_are_not_found_in_another_scene():
         blurred=blurred,
     )
     for near in (True, False):
-        assert len(landmarks.find(textured(4), np.eye(3), np.zeros(3), reach_px=20.0, near=near)[0]) == 0
+        assert len(landmarks.find(textured(4), LENS, np.eye(3), np.zeros(3), reach_px=20.0, near=near)[0]) == 0
 
 
 def test_tiles_look_like_each_other():

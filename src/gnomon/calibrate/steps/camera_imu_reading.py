@@ -58,7 +58,7 @@ def read_camera_imu(
         images or videos with a table of samples, a video; or a folder with the corners of each camera,
         cam0_corners.csv, cam1_corners.csv, ..., and the samples of each IMU, imu0.csv, ...
     target : Kalibr's target.yaml; or "none": there was no board, and the landmarks of the scene are mapped from the
-        images of the first camera
+        images of the first camera; others find them again, if their poses to it are stated
     cam : Kalibr's camchain.yaml, a calibration.yaml of gnomon, or another project's file of the cameras; not needed
         where the recording states the lenses itself, as EuRoC's does
     imu : Kalibr's imu.yaml, keyed imu0, imu1, ... or a file of each; None where the noise of the IMUs is not known
@@ -126,21 +126,19 @@ def read_camera_imu(
 def _mapped(
     images: ImageRecording, known: Mapping[str, CameraInput], tell: Progress, notes: list[str]
 ) -> tuple[dict[str, CameraFrames], Target, tuple[Finding, ...]]:
-    """Return what the first camera saw of the landmarks of a scene, these, and what is wrong with them."""
-    from .landmark_map import map_landmarks
+    """Return what cameras saw of the landmarks of a scene, these, and what is wrong with them."""
+    from .landmark_map import map_landmarks, relative_pose
 
     if not images.imus:
         raise RecordingError("without a board the IMU's samples are needed already to map the scene. Give --imu-table.")
-    name, *others = known
-    frames, landmarks, scene = map_landmarks(
-        name, images.streams[name], known[name], next(iter(images.imus.values())), tell
-    )
+    first = next(iter(known))
+    placed = {name: entry for name, entry in known.items() if relative_pose(known[first], entry)}
     notes.extend(
-        f"the images of {other} were left out: without a board one camera is calibrated, {name}. For {other} give "
-        f"--cam a file of {other} alone; the pose of both to each other gnomon camera finds before a board."
-        for other in others
+        f"the images of {other} were left out: nothing states its pose to {first}, which maps the scene. gnomon camera "
+        "finds it before a board; give its calibration.yaml as --cam, or T_cn_cnm1 in camchain.yaml."
+        for other in known.keys() - placed.keys()
     )
-    return {name: frames}, landmarks, scene
+    return map_landmarks(images.streams, placed, next(iter(images.imus.values())), tell)
 
 
 def _with_rig(recording: Recording, cam: str | PathLike[str] | None) -> Recording:

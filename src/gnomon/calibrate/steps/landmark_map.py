@@ -4,12 +4,13 @@ follow points -> rotations, clock and axes by the gyroscope -> a first path and 
 -> choose landmarks -> find them again in all images -> CameraFrames and Target
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ...ahead import results_ahead
 from ...detect.landmarks.patches import Landmarks, cut_pieces
 from ...detect.landmarks.tracks import PointTracks, follow_points
 from ...errors import DetectionError, InitialisationError, RecordingError
@@ -25,7 +26,7 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
 from ...recording import CameraFrames, Floats, ImuSamples, Integers
-from ...recording.images import Grey, ImageStream
+from ...recording.images import Frame, Grey, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _KEYS_HZ = 5.0
@@ -96,14 +97,15 @@ class _Motion:
 
 
 def map_landmarks(
-    name: str, images: ImageStream, known: CameraInput, samples: ImuSamples, tell: Progress
-) -> tuple[CameraFrames, Target, tuple[Finding, ...]]:
-    """Return where the images of a camera show the landmarks of a scene, these, and what is wrong with them.
+    streams: Mapping[str, ImageStream], cameras: Mapping[str, CameraInput], samples: ImuSamples, tell: Progress
+) -> tuple[dict[str, CameraFrames], Target, tuple[Finding, ...]]:
+    """Return where the images of cameras show the landmarks of a scene, these, and what is wrong with them.
+
+    The first camera maps them; the others, whose poses to it are stated (`relative_pose`), find them again.
 
     Parameters
     ----------
-    name : of the camera
-    images, known : of the camera, with its lens
+    streams, cameras : images and lens of each camera
     samples : of the IMU
     tell : called with a sentence from time to time
 
@@ -116,11 +118,8 @@ def map_landmarks(
     RecordingError
         If the images or the samples cannot be used.
     """
-    t_ns = np.array([frame.t_ns for frame in images.frames([])], dtype=np.int64)
-    if len(t_ns) < 2 or (np.diff(t_ns) <= 0).any():
-        raise RecordingError(
-            f"{name}: without a board images must be in the order of time, each with its own timestamp."
-        )
+    name, known = next(iter(cameras.items()))
+    images, t_ns = streams[name], _timestamps(name, streams[name])
     tracks = follow_points(
         _told(_decoded(images, known.camera), f"following points in the images of {name}", len(t_ns), tell)
     )
@@ -129,35 +128,83 @@ def map_landmarks(
     motion = _motion(name, tracks, known.camera, np.asarray((t_ns - origin_ns) * 1e-9, np.float64), stream)
     tell("finding where the camera went, and the landmarks")
     scene, at = _first_scene(name, tracks, known.camera, motion)
+    scene, landmarks = _refined(name, images, known.camera, scene, at)
+    frames: dict[str, CameraFrames] = {}
+    for camera, entry in cameras.items():
+        tell(f"finding the landmarks in all images of {camera}")
+        placed = relative_pose(known, entry)
+        assert placed is not None
+        T, later_s = placed
+        t_ns = _timestamps(camera, streams[camera])
+        t_s = np.asarray((t_ns - origin_ns) * 1e-9, np.float64) + motion.alignment.time_shift_s + later_s
+        inside = np.flatnonzero((t_s > stream.t_s[0]) & (t_s < stream.t_s[-1]))
+        R, p = _between(motion, at, scene, t_s[inside])
+        poses = T[:3, :3] @ R, p @ T[:3, :3].T + T[:3, 3]
+        reach_px = _NEAR_PX if camera == name else _REACH_PX
+        seen = _found_again(streams[camera], entry.camera, landmarks, inside, poses, reach_px=reach_px)
+        frames[camera] = _frames(camera, entry, t_ns, seen)
+    likeness = landmarks.likeness()
+    repeats = (make_finding("scene-repeats", name=name, likeness=likeness),) if likeness > _ALIKE else ()
+    return frames, Target.landmarks(landmarks.points), repeats
+
+
+def relative_pose(first: CameraInput, other: CameraInput) -> tuple[Floats, float] | None:
+    """Return T_other_first (4, 4) [m], and by how much the other's time shift is larger [s], as far as it is stated."""
+    if other is first:
+        return np.eye(4), 0.0
+    shifts = other.time_shift_cam_imu_s, first.time_shift_cam_imu_s
+    later_s = 0.0 if shifts[0] is None or shifts[1] is None else shifts[0] - shifts[1]
+    for one, two in ((other.T_cam_cam0, first.T_cam_cam0), (other.T_cam_imu, first.T_cam_imu)):
+        if one is not None and two is not None:
+            return one @ np.linalg.inv(two), later_s
+    return None
+
+
+def _timestamps(name: str, images: ImageStream) -> Integers:
+    t_ns = np.array([frame.t_ns for frame in images.frames([])], dtype=np.int64)
+    if len(t_ns) < 2 or (np.diff(t_ns) <= 0).any():
+        raise RecordingError(
+            f"{name}: without a board images must be in the order of time, each with its own timestamp."
+        )
+    return t_ns
+
+
+def _refined(name: str, images: ImageStream, camera: Camera, scene: _Scene, at: Integers) -> tuple[_Scene, Landmarks]:
+    """Return key frames and landmarks, found again in them, of the scene with the points that were followed."""
     rows = _chosen_sightings(scene)
     if len(rows) < _FEWEST_LANDMARKS:
         raise DetectionError(_UNSETTLED.format(name=name, count=len(rows)))
-    landmarks, anchors = _cut(images, known.camera, scene, at[scene.key[rows]], rows), scene.key[rows]
-    found = _found_again(images, landmarks, at, (scene.R, scene.p), _REACH_PX)
+    landmarks, anchors = _cut(images, camera, scene, at[scene.key[rows]], rows), scene.key[rows]
+    found = _found_again(images, camera, landmarks, at, (scene.R, scene.p), reach_px=_REACH_PX)
     scene = replace(
         scene, points=landmarks.points, key=np.searchsorted(at, found.frame), point=found.track, pixels=found.pixels
     )
-    scene = _adjusted(known.camera, scene)
+    scene = _adjusted(camera, scene)
     kept = np.flatnonzero(np.bincount(scene.point, minlength=len(rows)) >= _FEWEST_KEYS)
     if len(kept) < _FEWEST_LANDMARKS:
         raise DetectionError(_UNSETTLED.format(name=name, count=len(kept)))
     anchor = anchors[kept]
-    final = landmarks.moved(kept, scene.points[kept], scene.R[anchor], scene.p[anchor])
-    tell("finding the landmarks in all images")
-    found = _found_again(images, final, motion.inside, _between(motion, at, scene), _NEAR_PX)
-    frames = CameraFrames(
+    return scene, landmarks.moved(kept, scene.points[kept], scene.R[anchor], scene.p[anchor])
+
+
+def _frames(name: str, known: CameraInput, t_ns: Integers, seen: PointTracks) -> CameraFrames:
+    count = len(np.unique(seen.track))
+    if count < _FEWEST_LANDMARKS:
+        raise DetectionError(
+            f"{name}: only {count} landmarks of the first camera are seen where its stated pose puts them. Either the "
+            "pose or the lens is another one, or its clock runs apart, or it never looks at the same things. Leave it "
+            "out: give --cam a file of the first camera alone."
+        )
+    return CameraFrames(
         t_ns=t_ns,
-        frame=found.frame,
-        point=found.track,
-        pixels=found.pixels,
+        frame=seen.frame,
+        point=seen.track,
+        pixels=seen.pixels,
         camera=known.camera,
         T_cam_imu=known.T_cam_imu,
         time_shift_cam_imu_s=known.time_shift_cam_imu_s,
         lens_covariance=known.lens_covariance,
     )
-    likeness = final.likeness()
-    repeats = (make_finding("scene-repeats", name=name, likeness=likeness),) if likeness > _ALIKE else ()
-    return frames, Target.landmarks(final.points), repeats
 
 
 def _stream(samples: ImuSamples) -> tuple[ImuStream, int]:
@@ -173,8 +220,10 @@ def _stream(samples: ImuSamples) -> tuple[ImuStream, int]:
     return ImuStream(t_s=t_s, rate=rate, force=force), origin
 
 
-def _decoded(images: ImageStream, camera: Camera) -> Iterator[Grey]:
-    for frame in images.frames([]):
+def _decoded(images: ImageStream, camera: Camera, wanted: Container[int] | None = None) -> Iterator[Grey]:
+    """Yield images, all or some of them; a few of the next ones are being decoded meanwhile."""
+
+    def decode(frame: Frame) -> Grey:
         image = frame.decode()
         if image.shape[::-1] != camera.resolution:
             width, height = camera.resolution
@@ -182,7 +231,10 @@ def _decoded(images: ImageStream, camera: Camera) -> Iterator[Grey]:
                 f"{frame.where}: an image of {image.shape[1]} x {image.shape[0]} px, but the lens is stated for "
                 f"{width} x {height} px. Give the lens of this camera at this image size."
             )
-        yield image
+        return image
+
+    frames = enumerate(images.frames([]))
+    return results_ahead(decode, (frame for k, frame in frames if wanted is None or k in wanted))
 
 
 def _told(images: Iterable[Grey], text: str, count: int, tell: Progress) -> Iterator[Grey]:
@@ -314,8 +366,8 @@ def _chosen_sightings(scene: _Scene) -> Integers:
 
 def _cut(images: ImageStream, camera: Camera, scene: _Scene, taken: Integers, rows: Integers) -> Landmarks:
     """Return landmarks with the pieces of the images `taken` (n,) in which some sightings (n,) are."""
-    key, wanted = scene.key[rows], set(taken.tolist())
-    pictures = ((k, frame.decode()) for k, frame in enumerate(images.frames([])) if k in wanted)
+    key, wanted = scene.key[rows], sorted(set(taken.tolist()))
+    pictures = zip(wanted, _decoded(images, camera, wanted), strict=True)
     pieces, blurred = cut_pieces(pictures, taken, scene.pixels[rows])
     return Landmarks(
         camera=camera,
@@ -328,25 +380,28 @@ def _cut(images: ImageStream, camera: Camera, scene: _Scene, taken: Integers, ro
 
 
 def _found_again(
-    images: ImageStream, landmarks: Landmarks, at: Integers, poses: tuple[Floats, Floats], reach_px: float
+    images: ImageStream,
+    camera: Camera,
+    landmarks: Landmarks,
+    at: Integers,
+    poses: tuple[Floats, Floats],
+    *,
+    reach_px: float,
 ) -> PointTracks:
     """Return where landmarks are in images `at` (k,), with about these poses."""
-    number = dict(zip(at.tolist(), range(len(at)), strict=True))
-    found: list[tuple[Integers, Integers, Floats]] = []
-    for k, frame in enumerate(images.frames([])):
-        if k not in number:
-            continue
-        R, p = poses[0][number[k]], poses[1][number[k]]
-        which, pixels = landmarks.find(frame.decode(), R, p, reach_px=reach_px, near=reach_px <= _NEAR_PX)
-        found.append((np.full(len(which), k), which, pixels))
-    frame, track, pixels = (np.concatenate(part) for part in zip(*found, strict=True))
-    return PointTracks(frame=frame, track=track, pixels=pixels)
+    pictures = zip(_decoded(images, camera, set(at.tolist())), *poses, strict=True)
+    near = reach_px <= _NEAR_PX
+    found = list(
+        results_ahead(lambda one: landmarks.find(one[0], camera, *one[1:], reach_px=reach_px, near=near), pictures)
+    )
+    track, pixels = (np.concatenate(part) for part in zip(*found, strict=True))
+    return PointTracks(frame=np.repeat(at, [len(which) for which, _ in found]), track=track, pixels=pixels)
 
 
-def _between(motion: _Motion, at: Integers, scene: _Scene) -> tuple[Floats, Floats]:
-    """Return the poses of all images within the IMU's recording: turned by the gyroscope from the nearest key frame."""
+def _between(motion: _Motion, at: Integers, scene: _Scene, t_s: Floats) -> tuple[Floats, Floats]:
+    """Return the poses of the scene at instants (n,): turned by the gyroscope from the nearest key frame."""
     good = np.flatnonzero(np.bincount(scene.key, minlength=len(at)) >= _FEWEST_POINTS // 3)
-    key_s, t_s = motion.t_s[at[good]], motion.t_s[motion.inside]
+    key_s = motion.t_s[at[good]]
     nearest = np.abs(t_s[:, None] - key_s).argmin(axis=1)
     R_cam_imu = motion.alignment.R_cam_imu
     by_gyroscope = [

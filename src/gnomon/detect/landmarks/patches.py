@@ -53,7 +53,7 @@ class Landmarks:
 
     Attributes
     ----------
-    camera : the lens
+    camera : the lens that took the pieces
     points : (n, 3) [m]
     R_anchor, p_anchor : (n, 3, 3), (n, 3) pose of the scene in the camera that took each one's piece
     pieces : (n side, side) these, one above the other
@@ -83,12 +83,14 @@ class Landmarks:
         np.fill_diagonal(alike, -1.0)
         return float(np.median(alike.max(axis=1)))
 
-    def find(self, image: Grey, R: Floats, p: Floats, *, reach_px: float, near: bool) -> tuple[Integers, Floats]:
+    def find(
+        self, image: Grey, camera: Camera, R: Floats, p: Floats, *, reach_px: float, near: bool
+    ) -> tuple[Integers, Floats]:
         """Return which landmarks are in an image, and where they are.
 
         Parameters
         ----------
-        image : to be looked at
+        image, camera : to be looked at, and its lens
         R, p : (3, 3) and (3,) pose of the scene in the camera's frame, roughly
         reach_px : how far from where that puts them they may be
         near : whether that is a few px
@@ -98,7 +100,7 @@ class Landmarks:
         landmark : (k,) which
         pixels : (k, 2) where [px]
         """
-        which, expected, warps = self._expected(R, p)
+        which, expected, warps = self._expected(camera, R, p)
         places = expected.copy()
         limit = np.array(image.shape[::-1]) - 1 - _BORDER_PX
         for level in (_FINE,) if near else (_COARSE, _FINE):
@@ -109,21 +111,21 @@ class Landmarks:
             which, expected, places, warps = which[kept], expected[kept], places[kept], warps[kept]
         return which, places
 
-    def _expected(self, R: Floats, p: Floats) -> tuple[Integers, Floats, Floats]:
+    def _expected(self, camera: Camera, R: Floats, p: Floats) -> tuple[Integers, Floats, Floats]:
         """Return which landmarks should be in an image, where (k, 2), and what of pieces is about them (k, 9, 2).
 
         That is where in the piece, from its middle, the nodes of `_nodes` show the plane that faces its camera [px].
         """
         sight = self.points + np.einsum("nji,nj->ni", self.R_anchor, self.p_anchor)
         placed = self.points @ R.T + p
-        pixels = self.camera.project(placed, point_jacobian=False).pixels
-        limit = np.array(self.camera.resolution) - 1 - _BORDER_PX
+        pixels = camera.project(placed, point_jacobian=False).pixels
+        limit = np.array(camera.resolution) - 1 - _BORDER_PX
         with np.errstate(all="ignore"):
             cosine = np.einsum("ni,ni->n", sight @ R.T, placed)
             cosine /= np.linalg.norm(sight, axis=1) * np.linalg.norm(placed, axis=1)
             inside = ((pixels >= _BORDER_PX) & (pixels <= limit)).all(axis=1)
         which = np.flatnonzero(inside & (cosine > _MOST_TURNED))
-        rays, known = self.camera.unproject((pixels[which, None] + _nodes()).reshape(-1, 2))
+        rays, known = camera.unproject((pixels[which, None] + _nodes()).reshape(-1, 2))
         rays = np.where(known[:, None], rays, np.nan).reshape(len(which), -1, 3) @ R
         away = np.einsum("ni,ni->n", sight[which], placed[which] @ R)[:, None]
         with np.errstate(all="ignore"):
@@ -144,30 +146,31 @@ class Landmarks:
         if not len(which):
             return places, np.zeros(0), np.zeros(0)
         template, slope = self._templates(level, which, warps)
-        inverse = np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope + 1e-9 * np.eye(2))
+        square = slope @ np.swapaxes(slope, 1, 2) + np.float32(1e-9) * np.eye(2, dtype=np.float32)
+        step_by = np.linalg.inv(square) @ slope
         length, alike = np.zeros(len(which)), np.zeros(len(which))
         for _ in range(level.rounds):
             seen = _sampled(image, places[:, None] + _grid(level))
-            alike = np.einsum("ns,ns->n", seen, template)
-            step = -np.einsum("nij,nsj,ns->ni", inverse, slope, seen - template, optimize=True)
+            alike = np.einsum("ns,ns->n", seen, template).astype(np.float64)
+            step = (step_by @ (template - seen)[:, :, None])[:, :, 0].astype(np.float64)
             length = np.linalg.norm(step, axis=1)
             step *= np.minimum(1.0, _STEP_PX / np.maximum(length, 1e-9))[:, None]
             places = places + step
         return places, alike, length
 
-    def _templates(self, level: _Level, which: Integers, warps: Floats) -> tuple[Floats, Floats]:
-        """Return how pieces should look (k, s), of unit length about their mean, and their slopes (k, s, 2) per px."""
+    def _templates(
+        self, level: _Level, which: Integers, warps: Floats
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return how pieces should look (k, s), of unit length about their mean, and their slopes (k, 2, s) per px."""
         wider = _node_weights(_grid(level, 1)) @ warps
         centre = np.stack([np.full(len(which), _SIDE // 2), which * _SIDE + _SIDE // 2], axis=1)
         side = 2 * level.half + 3
         values = _looked_up(self.blurred if level.blur_px else self.pieces, centre[:, None] + wider)
         values = values.reshape(-1, side, side)
-        inner = values[:, 1:-1, 1:-1].reshape(len(which), -1)
-        inner = inner - inner.mean(axis=1, keepdims=True)
-        scale = np.maximum(np.linalg.norm(inner, axis=1, keepdims=True), 1e-6)
+        inner, scale = _normalised(values[:, 1:-1, 1:-1].reshape(len(which), -1))
         slopes = values[:, 1:-1, 2:] - values[:, 1:-1, :-2], values[:, 2:, 1:-1] - values[:, :-2, 1:-1]
-        slope = np.stack([slope.reshape(inner.shape) for slope in slopes], axis=2)
-        return inner / scale, slope / (2 * level.stride * scale[:, :, None])
+        slope = np.stack([slope.reshape(inner.shape) for slope in slopes], axis=1)
+        return inner, slope / np.float32(2 * level.stride) / scale[:, :, None]
 
 
 def cut_pieces(
@@ -219,9 +222,13 @@ def _looked_up(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _sampled(image: NDArray[np.float32], at: Floats) -> Floats:
+def _sampled(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
     """Return samples (k, s), of unit length about their mean."""
-    values = _looked_up(image, at).astype(np.float64)
-    values -= values.mean(axis=1, keepdims=True)
-    length = np.linalg.norm(values, axis=1, keepdims=True)
-    return np.asarray(values / np.maximum(length, 1e-6), np.float64)
+    return _normalised(_looked_up(image, at))[0]
+
+
+def _normalised(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return values (k, s) about their mean, of unit length, and the lengths (k, 1) that they had."""
+    values = values - values.mean(axis=1, keepdims=True)
+    length = np.maximum(np.sqrt(np.einsum("ns,ns->n", values, values)), 1e-6)[:, None]
+    return values / length, length

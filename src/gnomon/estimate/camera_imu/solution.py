@@ -24,6 +24,7 @@ GATE = 4.0
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
+_SLOWLY = 0.3  # near it steps shrink faster than this, unless equations that were similar no longer are
 _AT_REST = 0.1  # sigmas that anything may be left after the step, as the last two steps foretell;
 _WIDE_AT_REST = 0.5  # with the corners of a board, whose errors make sigmas of independent errors too small by far
 _NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
@@ -172,6 +173,8 @@ def minimise_cost(
         )
         iterations += tried
         largest, length, step = step.largest, step.length, _step(lin, step.factor)
+        if step.factor.borrowed and step.largest < _NEAR and step.length > _SLOWLY * length:
+            step = _exact(lin, step)
     if not lin.probing:
         lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)

@@ -124,9 +124,9 @@ def _step(
         coupling = coupling.toarray()
     eliminated = (bsr_array((np.swapaxes(inverse, 1, 2), np.arange(N), np.arange(N + 1))) @ coupling.T).T
     product = eliminated @ coupling.T
-    reduced = -(product if isinstance(product, np.ndarray) else product.toarray())
-    reduced.reshape(K, 6, K, 6)[np.arange(K), :, np.arange(K)] += U
-    poses = np.linalg.solve(reduced, u.ravel() - eliminated @ v.ravel())
+    reduced = product if isinstance(product, np.ndarray) else product.toarray()
+    reduced.reshape(K, 6, K, 6)[np.arange(K), :, np.arange(K)] -= U
+    poses = np.linalg.solve(reduced, eliminated @ v.ravel() - u.ravel())
     places = np.einsum("nij,nj->ni", inverse, v - (coupling.T @ poses).reshape(N, 3))
     return poses.reshape(K, 6), places
 

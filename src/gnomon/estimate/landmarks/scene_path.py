@@ -63,7 +63,7 @@ def find_scene_path(
     keys, count = len(key_t_s), int(point.max()) + 1
     across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
     H_inertial, rhs_inertial = _inertial_equations(key_t_s, stream, R_stream)
-    to_camera = np.concatenate([np.eye(3 * keys), R_world_imu.reshape(3 * keys, 3)], axis=1)
+    arms = R_world_imu.reshape(3 * keys, 3)
     y, places = np.zeros(3 * keys + 9), np.zeros((count, 3))
     depth, weight = np.full(len(frame), _USUAL_M), np.ones(len(frame))
     angle = np.zeros(len(frame))
@@ -76,11 +76,12 @@ def find_scene_path(
         inverse = np.linalg.inv(of_point + 1e-3 * np.eye(3))
         W = _block_matrix(blocks, point, frame, (count, keys))
         eliminated = bsr_array((inverse, np.arange(count), np.arange(count + 1)))
-        H = _block_matrix(of_frame, np.arange(keys), np.arange(keys), (keys, keys)) - W.T @ (eliminated @ W)
+        H = (_block_matrix(of_frame, np.arange(keys), np.arange(keys), (keys, keys)) - W.T @ (eliminated @ W)).toarray()
+        along = np.concatenate([H, H @ arms], axis=1)
         H_y = H_inertial.copy()
-        H_y[:width, :width] += to_camera.T @ (H @ to_camera)
+        H_y[:width, :width] += np.concatenate([along, arms.T @ along])
         y = np.linalg.solve(H_y, rhs_inertial)
-        C = (to_camera @ y[:width]).reshape(keys, 3)
+        C = (y[: 3 * keys] + arms @ y[3 * keys : width]).reshape(keys, 3)
         places = np.einsum("nij,nj->ni", inverse, (W @ C.ravel()).reshape(count, 3))
         toward = places[point] - C[frame]
         depth = np.clip(np.einsum("mi,mi->m", toward, ray), *_DEPTHS_M)

@@ -7,6 +7,7 @@ t . (R b1 x b2) = 0: the essential matrix, found so that most pairs of rays agre
 import cv2
 import numpy as np
 
+from ...ahead import results_ahead
 from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -41,23 +42,26 @@ def turns_between(
     moved : (p,) median angle between the rays, as they are [rad]
     known : (p,) whether it can be told
     """
-    R, moved, known = np.tile(np.eye(3), (len(pairs), 1, 1)), np.zeros(len(pairs)), np.zeros(len(pairs), bool)
-    cv2.setRNGSeed(1)
-    for k, (first, second) in enumerate(pairs):
-        ahead = (rays[first, 2] > 0.1) & (rays[second, 2] > 0.1)
-        a, b = rays[first[ahead]], rays[second[ahead]]
-        if len(a) < FEWEST_SHARED:
-            continue
-        moved[k] = float(np.median(np.linalg.norm(a - b, axis=1)))
-        before, after = (np.ascontiguousarray(side[:, :2] / side[:, 2:]) for side in (a, b))
-        matrix, inside = cv2.findEssentialMat(
-            before, after, np.eye(3), method=cv2.RANSAC, prob=_TRUSTED, threshold=tolerance
-        )
-        if np.shape(matrix) != (3, 3):
-            continue
-        count, R[k], _, _ = cv2.recoverPose(matrix, before, after, np.eye(3), mask=inside)
-        known[k] = count >= FEWEST_SHARED
-    return R, moved, known
+    found = list(results_ahead(lambda pair: _turn_between(rays[pair[0]], rays[pair[1]], tolerance), pairs))
+    R, moved, known = (np.array(part) for part in zip(*found, strict=True))
+    return R.reshape(-1, 3, 3), moved, known
+
+
+def _turn_between(first: Floats, second: Floats, tolerance: float) -> tuple[Floats, float, bool]:
+    """Return what `turns_between` does, of the rays (k, 3) that two images share."""
+    ahead = (first[:, 2] > 0.1) & (second[:, 2] > 0.1)
+    a, b = first[ahead], second[ahead]
+    if len(a) < FEWEST_SHARED:
+        return np.eye(3), 0.0, False
+    moved = float(np.median(np.linalg.norm(a - b, axis=1)))
+    before, after = (np.ascontiguousarray(side[:, :2] / side[:, 2:]) for side in (a, b))
+    matrix, inside = cv2.findEssentialMat(
+        before, after, np.eye(3), method=cv2.USAC_MAGSAC, prob=_TRUSTED, threshold=tolerance
+    )
+    if np.shape(matrix) != (3, 3):
+        return np.eye(3), moved, False
+    count, R, _, _ = cv2.recoverPose(matrix, before, after, np.eye(3), mask=inside)
+    return np.asarray(R, np.float64), moved, count >= FEWEST_SHARED
 
 
 def turning_poses(t_s: Floats, R: Floats, known: np.ndarray) -> BoardPoses:

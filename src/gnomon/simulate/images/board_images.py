@@ -109,25 +109,28 @@ def simulated_images(simulation: CameraImuSimulation) -> ImageRecording:
     simulation : what was simulated; its scenario says how light, blur and noise are
     """
     points = simulation.target.points + simulation.truth_parameters["target.offsets"]
-    views = _ViewsOnPath(simulation=simulation, exposure_s=simulation.scenario.exposure_s)
+    views = ViewsOnPath(simulation=simulation, exposure_s=simulation.scenario.exposure_s)
     streams = _streams(simulation, views, simulation.scenario.target_scale * points, lenses_stated=True)
     return ImageRecording(imus=simulation.recording.imus, streams=streams)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class _ViewsOnPath:
+class ViewsOnPath:
     """Views of cameras on the path of cam0."""
 
     simulation: CameraImuSimulation
     exposure_s: float
 
     def at_s(self, name: str, k: int) -> float:
+        """Return the middle of the exposure [s]."""
         return float(self.simulation.frames[name].exposure_s[k])
 
     def lens(self, name: str, k: int) -> Camera:
+        """Return the true lens."""
         return self.simulation.truth.cameras[name].camera
 
     def pose(self, name: str, k: int, t_s: Floats) -> tuple[Floats, Floats]:
+        """Return R_cam_target (n, 3, 3) and p_cam_target (n, 3) [m] at t_s (n,) from the middle of the exposure."""
         R, p = self.simulation.trajectory.path.pose(self.at_s(name, k) + t_s)
         cameras = self.simulation.truth.cameras
         T_cam_cam0 = cameras[name].T_cam_imu @ np.linalg.inv(cameras["cam0"].T_cam_imu)

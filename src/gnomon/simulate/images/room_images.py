@@ -21,6 +21,7 @@ from ...recording import Floats
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
 from ..scenarios.room import RoomScenario, Surface
+from .board_images import ViewsOnPath
 from .board_outlines import Singles
 from .motion_segments import MotionSegment, Pose
 from .rendering import add_noise, light_falloff, pixel_rays, usual_light
@@ -241,6 +242,7 @@ def _coarsest(extent: Singles, texel_m: float) -> int:
 class _RoomView:
     """What a camera sees of a room on its path."""
 
+    name: str
     room: tuple[Surfaces, ...]
     scenario: RoomScenario
     simulation: CameraImuSimulation
@@ -249,8 +251,8 @@ class _RoomView:
         """Return image k; always the same."""
         import cv2
 
-        camera, t_s = self.simulation.truth.cameras["cam0"].camera, float(self.simulation.frames["cam0"].exposure_s[k])
-        pose = partial(self._pose, t_s)
+        views = ViewsOnPath(simulation=self.simulation, exposure_s=self.scenario.exposure_s)
+        camera, t_s, pose = views.lens(self.name, k), views.at_s(self.name, k), partial(views.pose, self.name, k)
         movement = MotionSegment.during(self.scenario.exposure_s, camera, pose, _points(camera, pose), _STEP_PX)
         scene = np.zeros(camera.resolution[::-1], np.float32)
         for instant in range(movement.instants):
@@ -261,17 +263,12 @@ class _RoomView:
         if self.scenario.blur_px:
             scene = np.asarray(cv2.GaussianBlur(scene, (0, 0), self.scenario.blur_px), np.float32)
         if self.scenario.image_noise:
-            add_noise(scene, optics, np.random.default_rng([self.simulation.seed, k]))
+            add_noise(scene, optics, np.random.default_rng([self.simulation.seed, k, int(self.name[3:])]))
         return np.asarray(cv2.convertScaleAbs(np.maximum(scene, 0, out=scene)), dtype=np.uint8)
-
-    def _pose(self, start_s: float, t_s: Floats) -> tuple[Floats, Floats]:
-        R, p = self.simulation.trajectory.path.pose(start_s + t_s)
-        turned = np.swapaxes(R, 1, 2)
-        return turned, -np.einsum("nij,nj->ni", turned, p)
 
     def frames(self, t_ns: list[int], _notes: list[str]) -> Iterator[Frame]:
         for k, stamp in enumerate(t_ns):
-            yield Frame(t_ns=stamp, where=f"simulated image {k} of cam0", decode=partial(self.image, k))
+            yield Frame(t_ns=stamp, where=f"simulated image {k} of {self.name}", decode=partial(self.image, k))
 
 
 def _points(camera: Camera, pose: Pose) -> Floats:
@@ -293,9 +290,10 @@ def room_images(scenario: RoomScenario, simulation: CameraImuSimulation) -> Imag
     """
     middle = simulation.trajectory.path.middle + np.array([0.0, 0.0, simulation.scenario.distance_m])
     room = furnished_room(scenario, middle, simulation.seed)
-    view = _RoomView(room=room, scenario=scenario, simulation=simulation)
-    recorded = simulation.recording.cameras["cam0"]
-    stream = ImageStream(
-        frames=partial(view.frames, recorded.t_ns.tolist()), count=len(recorded.t_ns), camera=recorded.camera
-    )
-    return ImageRecording(imus=simulation.recording.imus, streams={"cam0": stream})
+    streams: dict[str, ImageStream] = {}
+    for name, recorded in simulation.recording.cameras.items():
+        view = _RoomView(name=name, room=room, scenario=scenario, simulation=simulation)
+        streams[name] = ImageStream(
+            frames=partial(view.frames, recorded.t_ns.tolist()), count=len(recorded.t_ns), camera=recorded.camera
+        )
+    return ImageRecording(imus=simulation.recording.imus, streams=streams)

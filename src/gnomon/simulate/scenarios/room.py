@@ -13,7 +13,7 @@ Surface = Literal["rich", "plain", "repeated"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoomScenario(TrueLens, HandMotion):
-    """A camera and an IMU that are waved together in a furnished room."""
+    """Cameras and an IMU that are waved together in a furnished room."""
 
     duration_s: float = 30.0
     """Length of the recording in seconds."""
@@ -45,6 +45,12 @@ class RoomScenario(TrueLens, HandMotion):
 
     light: float = 1.0
     """How bright the images are; 1 is well exposed."""
+
+    cameras: Literal[1, 2] = 1
+    """Number of cameras."""
+
+    baseline_m: float = 0.11
+    """Distance of the second camera from the first in metres, to its right."""
 
     random_extrinsics: bool = False
     """Draw T_cam_imu, any rotation, instead of a camera that looks along the IMU's x axis."""
@@ -79,5 +85,6 @@ class RoomScenario(TrueLens, HandMotion):
 _NARROWEST_M = 1.6
 _SHARED = """
     duration_s motion imu_rate_hz camera_rate_hz projection intrinsics distortion distortion_coeffs resolution
-    exposure_s line_delay_s blur_px image_noise random_extrinsics time_shift_s imu noise_factor gyroscope_random_walk
+    exposure_s line_delay_s blur_px image_noise cameras baseline_m random_extrinsics time_shift_s imu noise_factor
+    gyroscope_random_walk
 """

@@ -19,7 +19,7 @@ from ..trajectory import BIAS, POSE
 
 _TWIST = 6
 _AXES = 3
-_TOGETHER = 60  # control points that are multiplied at once
+_TOGETHER = 60  # control points, or exposures, that are multiplied at once
 _DENSE = 0.1  # share of the board's corners in an exposure, from which on zeros for all others cost less
 
 
@@ -113,11 +113,18 @@ def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[
 
 
 def multiply_blocks(blocks: Floats, products: PoseProducts) -> PoseProducts:
-    """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6)."""
+    """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6).
+
+    Dense ones are overwritten: with hundreds of points they are large.
+    """
     if not len(blocks):
         return products
     if isinstance(products, np.ndarray):
-        return np.matmul(blocks, products.reshape(len(blocks), POSE, -1)).reshape(products.shape)
+        rows = products.reshape(len(blocks), POSE, -1)
+        for begin in range(0, len(blocks), _TOGETHER):
+            some = slice(begin, begin + _TOGETHER)
+            rows[some] = blocks[some] @ rows[some]
+        return products
     every = np.arange(len(blocks) + 1)
     return bsr_array((blocks, every[:-1], every)).tocsr() @ products
 
