@@ -10,8 +10,10 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.options.requirements import Use
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
+LOOSE = Use(name="loose", words="a test", needs={"accelerometer_scale": 0.05})
 SHORT = {"intervals": 12, "t_init_s": 6.0, "hold_s": (1.9, 2.1), "motion_s": (0.8, 1.2)}
 
 
@@ -103,6 +105,26 @@ def test_a_sign_is_not_taken_for_a_small_change():
     assert found.verdict == "fail"
 
 
+def test_the_prior_that_helps_does_not_pull_the_size_of_a_change_in_sign():
+    calibration, fresh = sensor(1)
+    wrong = changed(calibration, accelerometer=scaled(2, -1.0))
+    (block,) = gnomon.verify(wrong, fresh).moved
+    whole = gnomon.compare(calibration, wrong, names=("true", "wrong")).difference("true", "wrong", block.path)
+    assert block.path == "imu0.accelerometer.scale"
+    assert np.all(np.abs(block.values - whole.values) < 4 * block.sigma)
+
+
+def test_what_moved_within_the_need_is_named_and_holds():
+    calibration, fresh = sensor(1)
+    found = gnomon.verify(changed(calibration, accelerometer=scaled(1, 1.002)), fresh, use=LOOSE)
+    assert (found.state, found.verdict) == ("holds", "pass")
+    (block,) = found.moved
+    assert (block.path, block.state, block.change.where) == ("imu0.accelerometer.scale", "moved, within need", "y")
+    assert block.z > found.certain_z
+    assert block.words in found.headline
+    assert [(one.code, one.severity) for one in found.findings] == [("calibration-moved", "info")]
+
+
 def test_a_recording_that_says_nothing_cannot_tell():
     calibration, _ = sensor(1)
     drawn = {"g_sensitivity": 3e-4, "sensor_seed": 1}
@@ -163,8 +185,11 @@ def test_the_command_says_it_in_its_exit_code(tmp_path, capsys, monkeypatch):
     head = "t_ns,wx [rad/s],wy [rad/s],wz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
     np.savetxt("today.csv", rows, delimiter=",", header=head, comments="", fmt=["%d", *["%.12g"] * 6])
     assert main(["verify", "calibration.yaml", "today.csv", "--no-report"]) == 0
+    assert main(["verify", "calibration.yaml", "today.csv", "-o", "out"]) == 0
+    capsys.readouterr()
     assert main(["verify", "wrong.yaml", "today.csv", "--json", "-o", "out"]) == 4
     said = capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "verification.json").read_text())["state"] == "moved"
     assert json.loads(said[said.index("{") :])["state"] == "moved"
     assert "gyroscope" in (tmp_path / "out" / "report.html").read_text()
 

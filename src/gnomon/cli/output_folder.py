@@ -22,7 +22,12 @@ NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
 """The same of noise that was identified."""
 ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
 DEMO_RECORDING = "recording.npz"
-_TELLING = {"comparison.csv": "compare", "study.html": "study", "runs.journal": "study"}
+_TELLING = {
+    "comparison.csv": "compare",
+    "verification.json": "verify",
+    "study.html": "study",
+    "runs.journal": "study",
+}
 """File -> the command that alone makes it in the folder of a result."""
 _RESULTS = ("calibration.yaml", "noise.yaml")
 _METHOD = re.compile(r"(?m)^provenance:\n(?:[ #].*\n)*? +method: *['\"]?([a-z][a-z-]*)")

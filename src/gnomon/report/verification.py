@@ -8,36 +8,41 @@ from ..output import write_whole
 from .page import KeyNumber, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
 
 
-def write_verification_report(verification: Verification, path: str | Path) -> None:
+def write_verification_report(verification: Verification, path: str | Path, subject: str = "") -> None:
     """Write the report of a verification as one HTML file that needs neither network nor other files.
+
+    Parameters
+    ----------
+    subject : what was verified, and by which recording
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    write_whole(path, render_page(verification_page(verification)))
+    write_whole(path, render_page(verification_page(verification, subject)))
 
 
-def verification_page(verification: Verification) -> ReportPage:
-    """Return the page of a verification."""
-    counts = {state: sum(one.state == state for one in verification.blocks) for state in ("moved", "cannot tell")}
+def verification_page(verification: Verification, subject: str = "") -> ReportPage:
+    """Return the page of a verification; see `write_verification_report`."""
+    untold = sum(one.state == "cannot tell" for one in verification.blocks)
     table = ReportTable(
         "Block by block",
-        ("block", "moved by (1 σ)", "needed", "log10 p", ""),
+        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", ""),
         [movement_words(block) for block in verification.blocks],
-        "By how much the recording finds each block elsewhere if all others hold, but those that moved. p: how "
-        "probable it is to find it so far off, or farther, if it held.",
+        "By how much the recording finds each block elsewhere if all others hold, but those that moved. z: standard "
+        f"deviations of a single number that are as improbable; from {verification.certain_z:.1f} on a block moved for "
+        "certain. Biases are new at each start: their ± includes what is usual.",
     )
     return ReportPage(
         title="Does the calibration still hold?",
-        subject=verification.use,
+        subject=subject or verification.use,
         verdict=verification.verdict,
         headline=verification.headline,
         key_numbers=(
             KeyNumber("Blocks", str(len(verification.blocks))),
-            KeyNumber("Moved", str(counts["moved"])),
-            KeyNumber("Not told", str(counts["cannot tell"]), "a longer recording may tell"),
+            KeyNumber("Moved", str(len(verification.moved))),
+            KeyNumber("Not told", str(untold), "a longer recording may tell" if untold else ""),
         ),
         findings=tuple(typeset_finding(finding) for finding in verification.findings),
         front=(table,),
@@ -52,7 +57,6 @@ def verification_page(verification: Verification) -> ReportPage:
                             "against the covariances of both. Each block was freed by itself (score test of Rao, "
                             "1948); the least probable one is taken as moved, and the others are asked again beside it "
                             "until none is certain, at one false alarm in a hundred calibrations that hold.",
-                            "Biases are others after each switching-on: they count as moved only beyond what is usual.",
                             *verification.notes,
                         )
                     )

@@ -15,6 +15,8 @@ l / (1 - l).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import floor, log10
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
@@ -33,6 +35,7 @@ from .comparison_words import at_common_origins, block_words
 from .quantities import ComparedQuantity, Statement, statement_of
 
 State = Literal["holds", "moved", "cannot tell"]
+BlockState = Literal["holds", "moved", "moved, within need", "cannot tell"]
 
 _CHANCE = 0.01
 """Share of calibrations that hold and are said to have moved."""
@@ -42,9 +45,10 @@ _UNTOLD = 1e-4  # share of a direction that the recording tells, of what the wid
 
 _HEADLINES: Mapping[State, str] = {
     "moved": "the calibration has moved: {blocks}",
-    "holds": "the calibration still holds, as far as this recording tells",
+    "holds": "the calibration still holds for {use}, as far as this recording tells",
     "cannot tell": "this recording cannot tell whether the calibration still holds",
 }
+_WITHIN = "{headline}; moved, but by less than a quarter of what that needs: {blocks}"
 _INCOMPLETE = (
     "The corners of the fresh recording err in ways that no model here explains, which a lens takes up differently "
     "each time: lenses are not judged."
@@ -69,22 +73,30 @@ class VerifiedBlock:
     Attributes
     ----------
     path, words : of the block, such as "cam0.translation"
-    state : "holds", "moved", or "cannot tell": a change as large as what is needed would not have been seen
+    state : "moved" for certain, by more than a quarter of what is needed, or "moved, within need"; "cannot tell": a
+        change as large as what is needed would not have been seen; else "holds"
     values, sigma : (k,) by how much the fresh recording finds it elsewhere, the blocks that moved allowed for, and
         standard deviations [unit of the block]
     log_probability : natural logarithm of that of an estimate so far off, or farther, if the block held
-    change : the same in the unit of the need
+    change : the same in the unit of the need; `where` is the element that moved most, such as "x"
     needed : what the use needs of it [SI, px]; 0 where it does not ask
     """
 
     path: str
     words: str
-    state: State
+    state: BlockState
     values: Floats
     sigma: Floats
     log_probability: float
     change: QuantityChange
     needed: float
+
+    @property
+    def z(self) -> float:
+        """How many standard deviations of a single number are as improbable."""
+        from scipy.special import ndtri_exp  # pyright: ignore[reportMissingTypeStubs]
+
+        return max(0.0, -float(ndtri_exp(self.log_probability - np.log(2))))
 
 
 @value_class
@@ -93,7 +105,7 @@ class Verification:
 
     Attributes
     ----------
-    state : of all: "moved" if any block has; "cannot tell" if no block could be judged
+    state : of all: "moved" if any block has, by more than a use hardly feels; "cannot tell" if no block could be judged
     blocks : in the order of a calibration file
     use : what the calibration is for, or "general use"
     findings, verdict, headline : as of a calibration
@@ -110,9 +122,17 @@ class Verification:
 
     @property
     def moved(self) -> tuple[VerifiedBlock, ...]:
-        """Blocks that moved, the most certain first."""
-        found = [block for block in self.blocks if block.state == "moved"]
-        return tuple(sorted(found, key=lambda block: block.log_probability))
+        """Blocks that moved, whether the use feels it or not, the most certain first."""
+        return _by_certainty(self.blocks, "moved", "moved, within need")
+
+    @property
+    def certain_z(self) -> float:
+        """From which z on a block counts as moved: one of a hundred calibrations that hold has such a block."""
+        return -NormalDist().inv_cdf(0.5 * _CHANCE / max(len(self.blocks), 1))
+
+
+def _by_certainty(blocks: Sequence[VerifiedBlock], *states: BlockState) -> tuple[VerifiedBlock, ...]:
+    return tuple(sorted((one for one in blocks if one.state in states), key=lambda block: block.log_probability))
 
 
 @value_class
@@ -171,12 +191,12 @@ def verify_candidate(
         values, covariance, log_p = _of_block(path, movement, certain)
         change, seen = _in_unit_of_need(quantity, values, covariance, known, frozen)
         needed = 0.0 if change.quantity in TURN_ON else needed_of(change, use)  # counted beyond what is usual alone
-        matters = path in certain and (not needed or change.size > _MATTERS * needed)
+        moved: BlockState = "moved" if not needed or change.size > _MATTERS * needed else "moved, within need"
         blocks.append(
             VerifiedBlock(
                 path=path,
                 words=block_words(path),
-                state="moved" if matters else "cannot tell" if needed and seen > needed else "holds",
+                state=moved if path in certain else "cannot tell" if needed and seen > needed else "holds",
                 values=frozen_array(values),
                 sigma=frozen_array(np.sqrt(np.diag(covariance))),
                 log_probability=log_p,
@@ -212,11 +232,12 @@ def _movement(
         count = rows[path].stop
     values = np.concatenate([subtract_quantity(found.quantities[path], known.quantities[path]) for path in paths])
     own = _part(found, paths)
-    if wide is not None:
-        values, own = _without_prior(values, own, _part(wide, paths))
+    pull = np.concatenate([found.by_gravity[found.quantities[path].rows] for path in paths])
+    if wide is not None:  # which helped a fit in which gravity was held
+        values, own = _without_prior(values, _without_gravity(own, pull), _part(wide, paths))
+        own = own + np.outer(pull, pull)
     held = np.zeros_like(own) if known.covariance is None else _part(known, paths)
     if same_gravity:  # the same error is in both
-        pull = np.concatenate([found.by_gravity[found.quantities[path].rows] for path in paths])
         own, held = _without_gravity(own, pull), _without_gravity(held, pull)
     covariance = own + held
     for path in paths:  # biases are others after each switching-on
@@ -322,6 +343,7 @@ def _in_unit_of_need(
     """Return a movement in the unit of the need, and how large one must be to be seen whatever its direction."""
     name = _quantity_of(quantity)
     sensor, _, rest = quantity.path.partition(".")
+    where = ""
     if name == "lens":
         size, sigma, spread = lens_movement(frozen.all_lenses[sensor], values, covariance, turned=not frozen.imus)
     else:
@@ -332,6 +354,7 @@ def _in_unit_of_need(
         if name == "heading":
             by = by * (OF_HEADING / (_field(frozen.imus[sensor]) if quantity.kind == "bias" else 1.0))
         moved, shared = by * values, covariance * np.outer(by, by)
+        where = quantity.elements[int(np.argmax(np.abs(moved)))]
         if quantity.kind in {"scale", "g-sensitivity"}:  # needs are of single numbers
             worst = int(np.argmax(np.abs(moved)))
             size, sigma = float(abs(moved[worst])), float(np.sqrt(shared[worst, worst]))
@@ -342,7 +365,7 @@ def _in_unit_of_need(
             sigma = float(np.sqrt(way @ shared @ way))
             spread = float(np.sqrt(np.linalg.eigvalsh(shared)[-1]))
     change = QuantityChange(
-        block=quantity.path, quantity=name, sensor=sensor, size=size, sigma=sigma, where="", at_s=None
+        block=quantity.path, quantity=name, sensor=sensor, size=size, sigma=sigma, where=where, at_s=None
     )
     return change, _SEEN * spread
 
@@ -354,28 +377,38 @@ def _field(imu: ImuCalibration) -> float:
 
 
 def movement_words(block: VerifiedBlock) -> tuple[str, str, str, str, str]:
-    """Return a block for a table: its name, by how much it moved, what is needed, log10 of p, and its state."""
+    """Return a block for a table: its name, by how much it moved, what is needed, z, and its state."""
     unit, size = unit_of_quantity(block.change.quantity)
-    moved = f"{block.change.size / size:.2g} ± {block.change.sigma / size:.1g} {unit}"
-    needed = f"{block.needed / size:.2g} {unit}" if block.needed else "-"
-    return block.words, moved, needed, f"{block.log_probability / np.log(10):.1f}", block.state
+    digits = max(0, 1 - floor(log10(max(block.change.sigma / size, 1e-12))))
+    moved = f"{block.change.size / size:.{digits}f} ± {block.change.sigma / size:.{digits}f} {unit}"
+    anew = "new each start" if block.change.quantity in TURN_ON else "not asked"
+    needed = f"{block.needed / size:.2g} {unit}" if block.needed else anew
+    return block.words, moved, needed, f"{block.z:.1f}", block.state
 
 
 def _judged(blocks: tuple[VerifiedBlock, ...], use: Use | None, notes: tuple[str, ...]) -> Verification:
     findings = list(_findings(blocks, use))
     told = [block for block in blocks if block.state != "cannot tell"]
+    name = "general use" if use is None else use.name
     state: State = "moved" if any(block.state == "moved" for block in blocks) else "holds" if told else "cannot tell"
-    moved = sorted((block for block in blocks if block.state == "moved"), key=lambda block: block.log_probability)
+    moved, within = (_by_certainty(blocks, one) for one in ("moved", "moved, within need"))
+    headline = _HEADLINES[state].format(blocks=_names(moved), use=name)
+    if within and state == "holds":
+        headline = _WITHIN.format(headline=headline, blocks=_names(within))
     ordered = merge_by_cause(findings)
     return Verification(
         state=state,
         blocks=blocks,
-        use="general use" if use is None else use.name,
+        use=name,
         findings=ordered,
         verdict=verdict_of(ordered),
-        headline=_HEADLINES[state].format(blocks=", ".join(block.words for block in moved)),
+        headline=headline,
         notes=notes,
     )
+
+
+def _names(blocks: Sequence[VerifiedBlock]) -> str:
+    return ", ".join(block.words for block in blocks)
 
 
 def _untold(use: Use | None) -> Verification:
@@ -391,19 +424,18 @@ def _untold(use: Use | None) -> Verification:
 
 
 def _findings(blocks: Sequence[VerifiedBlock], use: Use | None) -> Iterator[Finding]:
-    for block in blocks:
-        if block.state == "moved" or (block.state == "holds" and block.log_probability < np.log(_CHANCE / len(blocks))):
-            beyond = not block.needed or block.change.size > block.needed
-            moved = block.state == "moved"
-            told, cure = told_with_cure(block.change, block.needed, use)
-            yield make_finding(
-                "calibration-moved",
-                block=block.path,
-                severity="problem" if moved and beyond else "warning" if moved else "info",
-                case="beyond" if beyond else "",
-                told=told,
-                cure=cure,
-            )
+    for block in _by_certainty(blocks, "moved", "moved, within need"):
+        beyond = not block.needed or block.change.size > block.needed
+        told, cure = told_with_cure(block.change, block.needed, use)
+        most = f", most of all in {block.change.where}" if block.change.where else ""
+        yield make_finding(
+            "calibration-moved",
+            block=block.path,
+            severity="info" if block.state != "moved" else "problem" if beyond else "warning",
+            case="beyond" if beyond else "",
+            told=f"{told}{most}, z {block.z:.1f}",
+            cure=cure,
+        )
     untold = [block for block in blocks if block.state == "cannot tell"]
     if untold:
-        yield make_finding("cannot-verify", blocks=", ".join(block.words for block in untold))
+        yield make_finding("cannot-verify", blocks=_names(untold))

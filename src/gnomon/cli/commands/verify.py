@@ -1,5 +1,6 @@
 """The command that verifies a calibration by a fresh recording."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from ...recording import Recording
     from ...results.calibration import Calibration
 
-PAGE = "report.html"
+PAGE, DATA = "report.html", "verification.json"
 UNTOLD = 3
 """Exit code where the recording cannot tell."""
 _STYLES = {"holds": "bold green", "cannot tell": "bold yellow", "moved": "bold red"}
@@ -53,7 +54,7 @@ class Verify(Command, TableOptions):
     topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC")] = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for report.html (default: NAME-verify beside the recording)."""
+    """Folder for report.html and verification.json (default: NAME-verify beside the recording)."""
     use: ForUse = None
     report: Report = True
 
@@ -71,9 +72,9 @@ class Verify(Command, TableOptions):
         print_assumptions(recording.assumptions, terminal)
         found = verify(known, recording, target, use=use, progress=terminal.progress)
         if self.report:
-            _write(found, folder, terminal)
+            _write(found, folder, terminal, f"{self.calibration}, verified by {self.recording.name}, for {found.use}")
         _print(found, terminal)
-        files = result_files(folder, (PAGE,)) if self.report else {}
+        files = result_files(folder, (PAGE, DATA)) if self.report else {}
         for path in files.values():
             terminal.print(f"\nwritten: {path}")
         code = {"holds": USABLE, "moved": UNUSABLE, "cannot tell": UNTOLD}[found.state]
@@ -100,24 +101,26 @@ class Verify(Command, TableOptions):
         return read_camera_views(self.recording, **stated, **shared)
 
 
-def _write(found: "Verification", folder: Path, terminal: Terminal) -> None:
+def _write(found: "Verification", folder: Path, terminal: Terminal, subject: str) -> None:
+    from ...output import write_whole
     from ...report.verification import write_verification_report
 
-    with result_folder(folder, "verify", own=(PAGE,)) as staging:
+    with result_folder(folder, "verify", own=(PAGE, DATA)) as staging:
         terminal.progress("drawing the report")
-        write_verification_report(found, staging / PAGE)
+        write_verification_report(found, staging / PAGE, subject)
+        write_whole(staging / DATA, json.dumps({"subject": subject, **json_value(found)}, indent=2).encode())
 
 
 def _print(found: "Verification", terminal: Terminal) -> None:
     from ...assess.comparison.verification import movement_words
 
-    terminal.print(f"{found.state}: {found.headline}", _STYLES[found.state])
+    terminal.print(found.headline, _STYLES[found.state])
     for note in found.notes:
         terminal.print(f"  {note}")
     print_findings(found.findings, terminal)
     if not found.blocks:
         return
-    rows = [("", "moved by", "needed", "log10 p", ""), *(movement_words(block) for block in found.blocks)]
+    rows = [("", "moved by", f"{found.use} needs", "z", ""), *(movement_words(block) for block in found.blocks)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     terminal.print("")
     for row in rows:
