@@ -100,7 +100,7 @@ def _frozen(cls: type, eq: bool, kw_only: bool) -> type:
 
 def _compiled_init(made: Any) -> Any:
     """Return what sets the fields of a class, as the standard library's would."""
-    names: dict[str, Any] = {"_set": object.__setattr__, "_unset": MISSING}
+    names: dict[str, Any] = {"_unset": MISSING}
     parameters, by_name, body = list[str](), list[str](), list[str]()
     for entry in fields(made):
         value, factory = f"_value_{entry.name}", f"_factory_{entry.name}"
@@ -114,7 +114,8 @@ def _compiled_init(made: Any) -> Any:
             given = f"{factory}()" if made_anew else value
         else:
             continue
-        body.append(f" _set(self, {entry.name!r}, {given})")
+        names[f"_set_{entry.name}"] = getattr(made, entry.name).__set__  # of its slot
+        body.append(f" _set_{entry.name}(self, {given})")
     if hasattr(made, "__post_init__"):
         body.append(" self.__post_init__()")
     head = ", ".join(["self", *parameters, *(["*", *by_name] if by_name else [])])

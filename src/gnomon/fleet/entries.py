@@ -108,7 +108,7 @@ class LibraryEntry:
     @property
     def digests(self) -> frozenset[str]:
         """Hashes of the files that hold measurements, not settings."""
-        return frozenset([digest for name, digest in self.inputs if not name.lower().endswith((".yaml", ".yml"))])
+        return frozenset([digest for name, digest in self.inputs if not name[-5:].lower().endswith((".yaml", ".yml"))])
 
 
 _UNKEYED = frozenset(("folder", "values", "sigmas", "covariance", "covered", "needs", "findings", "temperature_c"))

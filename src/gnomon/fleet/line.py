@@ -91,7 +91,8 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += _other_gravity(table, values)
     found += _wrong_units(table, values)
     corrected = replace(table, values=values)
-    stations = _station_offsets(corrected, first)
+    pairs = _repeats(table.entries)
+    stations = _station_offsets(corrected, first, pairs)
     found += [_station_finding(table, k, offset) for k, offset in stations]
     changes = _changes_in_time(corrected, first)
     found += [_time_finding(table, first, k, change) for k, change in changes]
@@ -101,7 +102,7 @@ def assess_line(table: LineTable) -> LineAssessment:
     size = np.nan_to_num(np.abs(z))
     worst_scalar = size.argmax(axis=1) if size.size else np.zeros(len(serials), dtype=int)
     worst = size.max(axis=1, initial=0.0)
-    reproducibility, repeats, moved = _changed_devices(corrected)
+    reproducibility, repeats, moved = _changed_devices(corrected, pairs)
     found += moved
     found += _outliers(table, z, limit, first)
     return LineAssessment(
@@ -120,7 +121,9 @@ def assess_line(table: LineTable) -> LineAssessment:
 
 def days_of(entries: Sequence[LibraryEntry]) -> Floats:
     """Return the days (n,) of measurements; without any date their order; what has none is taken for the first."""
-    known = [date.fromisoformat(entry.measured).toordinal() if entry.measured else 0 for entry in entries]
+    dates = {entry.measured for entry in entries}
+    day_of = {day: date.fromisoformat(day).toordinal() if day else 0 for day in dates}
+    known = [day_of[entry.measured] for entry in entries]
     start = min((day for day in known if day), default=0)
     return np.array([max(day, start) for day in known], dtype=float) if start else np.arange(float(len(entries)))
 
@@ -156,9 +159,10 @@ def _other_gravity(table: LineTable, values: Floats) -> Iterator[Finding]:
     stations: dict[str, list[int]] = {}
     for row, entry in enumerate(table.entries):
         stations.setdefault(entry.station, []).append(row)
+    taken_by = np.array([entry.gravity for entry in table.entries])
     for station, rows in stations.items():
-        (usual, count), *_ = Counter(round(table.entries[row].gravity, 4) for row in rows).most_common(1)
-        odd = [row for row in rows if abs(table.entries[row].gravity - usual) > _SAME_GRAVITY]
+        (usual, count), *_ = Counter(taken_by[rows].round(4).tolist()).most_common(1)
+        odd = [row for row in rows if abs(taken_by[row] - usual) > _SAME_GRAVITY]
         if not scale or not odd or count < max(_FEWEST, 0.8 * len(rows)):
             continue
         values[np.ix_(odd, scale)] = np.nan
@@ -206,13 +210,13 @@ def _weighted(table: LineTable, rows: Integers, k: int) -> tuple[Floats, Floats]
     return np.clip(y, known.mean - reach, known.mean + reach), variances
 
 
-def _station_offsets(table: LineTable, first: Integers) -> list[tuple[int, GroupOffset]]:
+def _station_offsets(table: LineTable, first: Integers, pairs: Integers) -> list[tuple[int, GroupOffset]]:
     """Return stations that are off, the most certain first, and take their offsets off the values."""
     stations = [entry.station for entry in table.entries]
     names = list(dict.fromkeys(stations))
     limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
-    pairs, labels = _repeats(table.entries), np.array(stations)
+    labels = np.array(stations)
     of_first = [stations[row] for row in first.tolist()]
     for _ in names[1:]:
         offsets: dict[str, dict[int, GroupOffset]] = {}
@@ -329,9 +333,8 @@ def _time_finding(table: LineTable, first: Integers, k: int, change: TimeChange)
 # ---- devices ----
 
 
-def _changed_devices(table: LineTable) -> tuple[Floats, int, list[Finding]]:
+def _changed_devices(table: LineTable, pairs: Integers) -> tuple[Floats, int, list[Finding]]:
     """Return reproducibility (k,), number of repetitions, and findings on devices that changed or were confused."""
-    pairs = _repeats(table.entries)
     if len(pairs) < _FEWEST:
         return np.full(len(table.names), np.nan), len(pairs), []
     before, after = pairs.T

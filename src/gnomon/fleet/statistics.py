@@ -269,15 +269,16 @@ class GroupOffset:
 def group_offsets(values: Floats, variances: Floats, groups: Sequence[str]) -> list[GroupOffset]:
     """Return how far each group's weighted mean is from that of all others, variances (n,) known; nan is left out."""
     known = np.isfinite(values) & np.isfinite(variances)
-    y, w, labels = values[known], 1 / variances[known], np.asarray(groups, dtype=object)[known]
+    number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
+    y, w, labels = values[known], 1 / variances[known], np.array([number[group] for group in groups])[known]
     found: list[GroupOffset] = []
-    for group in dict.fromkeys(labels.tolist()):
-        own = labels == group
-        if own.all():
-            break
+    for group, k in number.items():
+        own = labels == k
+        if not own.any() or own.all():
+            continue
         mean, other = w[own] @ y[own] / w[own].sum(), w[~own] @ y[~own] / w[~own].sum()
         sigma = sqrt(1 / w[own].sum() + 1 / w[~own].sum())
-        found.append(GroupOffset(group=str(group), offset=float(mean - other), sigma=sigma, count=int(own.sum())))
+        found.append(GroupOffset(group=group, offset=float(mean - other), sigma=sigma, count=int(own.sum())))
     return found
 
 

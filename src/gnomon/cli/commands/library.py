@@ -1,5 +1,6 @@
 """The command that looks into a library of many devices."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -134,6 +135,7 @@ class LibraryCommand(Command):
         from ...fleet.line import assess_line
 
         terminal.progress("reading the library")
+        gc.disable()  # a hundred thousand results hold no circles, and would be searched for some again and again
         entries = list(library.entries(kind=self.kind, details=details))
         if not entries:
             raise OptionError(f"{self.library}: there is no calibration in it.")
