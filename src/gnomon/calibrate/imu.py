@@ -232,7 +232,7 @@ def _assess(
     """Return the calibration with its verdict, and the tables that show how it came about."""
     diagnostics = describe_imu(fit)
     imus = {"imu0": replace(imu_calibration(fit.estimate, prepared), temperature=fit.temperature)}
-    findings = (*prepared.findings, *_agreement(fit.problem, known, gravity, options))
+    findings = (*prepared.findings, *_agreement(fit, known, gravity, options))
     calibration = Calibration(
         imus=imus,
         frame="accel-x",
@@ -347,12 +347,13 @@ def _trusted(
     return trust, np.sqrt(np.diag(from_unseen))
 
 
-def _agreement(problem: MultiPositionProblem, known: Prior, gravity: Gravity, options: ImuOptions) -> list[Finding]:
+def _agreement(fit: ImuFitSummary, known: Prior, gravity: Gravity, options: ImuOptions) -> list[Finding]:
     """Say what was known beforehand, and whether this recording on its own agrees."""
     if not known:
         return []
     try:
-        alone = _in_units(fit_multiposition(problem.data, g_sensitivity=True), problem, gravity, options)
+        without = fit_multiposition(fit.problem.data, g_sensitivity=True, changes=fit.fit.changes)
+        alone = _in_units(without, fit.problem, gravity, options)
     except SolveError as error:
         return [comparison_left_out("what was known beforehand", str(error))]
     return prior_findings(known, alone.values, alone.covariance)

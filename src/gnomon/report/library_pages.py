@@ -83,10 +83,10 @@ class LibraryPages:
         return self._filled("Devices", [table], search=search, links=addresses)
 
     def _device(self, serial: str) -> bytes:
-        entries = list(self._library.entries(serial=serial, kind=self._kind, newest=_NEWEST))
+        entries = list(self._library.entries(serial=serial, kind=self._kind, newest=_NEWEST, details=True))
         if not entries:
             raise LookupError
-        (last,) = self._library.entries(serial=serial, kind=self._kind, newest=1, details=True)
+        last = entries[-1]
         facts = [
             ("use", last.use or "general use"),
             ("operator", last.operator or MISSING),
@@ -169,6 +169,7 @@ def _asked(request: Any, name: str) -> str:
     return str(request.query_params.get(name, ""))
 
 
+@lru_cache(maxsize=4096)
 def _link(page: str, key: str, value: str) -> str:
     from markupsafe import Markup
 
