@@ -48,7 +48,7 @@ class ChartSummary:
         return (
             self.name,
             str(self.devices),
-            *(f"{n:.5g}" for n in numbers),
+            *("-" if n != n else f"{n:.5g}" for n in numbers),  # noqa: PLR0124 - repeated by too few, it is nan
             one,
             f"{self.ewma:.5g}",
             average,

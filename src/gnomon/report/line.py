@@ -37,7 +37,10 @@ def line_page(line: LineAssessment) -> ReportPage:
     """Return the page of a line."""
     entries, devices = line.table.entries, len(line.first)
     newest = {entry.serial: entry for entry in entries}
-    usable = sum(entry.verdict != "fail" for entry in newest.values())
+    verdicts = Counter(entry.verdict for entry in newest.values())
+    usable = devices - verdicts["fail"]
+    told = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in ("pass", "warn", "fail"))
+    again = f"{line.repeats} measurements were repetitions" if line.repeats else "each measured once"
     low, high = wilson_interval(usable, devices)
     uses = ", ".join(sorted({entry.use or "general use" for entry in entries}))
     counts = Counter(finding.code for finding in line.findings)
@@ -47,9 +50,11 @@ def line_page(line: LineAssessment) -> ReportPage:
         verdict=verdict_of(line.findings),
         headline=_headline(counts),
         key_numbers=(
-            KeyNumber("Devices", str(devices), f"{line.repeats} times one was measured again"),
+            KeyNumber("Devices", str(devices), again),
             KeyNumber(
-                "Yield", percent_text(usable / max(devices, 1)), f"95 %: {percent_text(low)} to {percent_text(high)}"
+                "Yield",
+                percent_text(usable / max(devices, 1)),
+                f"{told}; 95 %: {percent_text(low)} to {percent_text(high)}",
             ),
             KeyNumber("Findings", str(len(line.findings))),
         ),

@@ -30,6 +30,9 @@ _WORDS = {
     "import": (1, 10_000, "folders with results"),
     "serve": (0, 0, "nothing more"),
 }
+_CHARTED = """
+spread: of the devices; repeated: of one device from one measurement to the next (- where too few were measured twice).
+limits of one: of the chart of individuals; EWMA: the newest weighted average, and its limits."""
 _FACTS = ("measured", "kind", "verdict", "use", "station", "operator", "temperature_c", "version", "folder")
 
 
@@ -108,7 +111,7 @@ class LibraryCommand(Command):
 
         entry = self._of_serial(library, details=True)[-1]
         for name in _FACTS:
-            terminal.print(f"{name:<14} {getattr(entry, name)}")
+            terminal.print(f"{name:<14} {_cells(entry, (name,))[0] or 'not stated'}")
         numbers = zip(entry.names, entry.values.tolist(), entry.published_sigmas.tolist(), entry.units, strict=True)
         rows = [(name, *with_sigma(value, sigma), unit) for name, value, sigma, unit in numbers]
         terminal.print("")
@@ -153,6 +156,7 @@ class LibraryCommand(Command):
         charts = [chart_summary(line, name) for name in names]
         head = ("parameter", "devices", "mean", "spread", "repeated", "limits of one", "EWMA", "limits of it", "unit")
         _print_rows(head, [chart.cells for chart in charts], terminal, most=len(charts))
+        terminal.print(_CHARTED)
         print_findings(line.findings, terminal)
         return {"charts": charts, "findings": line.findings}
 
