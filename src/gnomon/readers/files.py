@@ -32,6 +32,9 @@ _KNOWN_BINARY = {
     b"ULog": "a PX4 ULog",
     b"PAR1": "a Parquet file",
     b"%PDF": "a PDF",
+    b"\x89PNG": "an image",
+    b"\xff\xd8\xff": "an image",
+    b"H Product:Blackbox": "a blackbox log, which Betaflight's blackbox_decode and Blackbox Explorer turn into CSV",
 }
 
 

@@ -5,6 +5,7 @@ what is read must be that motion, in its units and with its timestamps.
 """
 
 import re
+import zipfile
 
 import numpy as np
 import pytest
@@ -345,3 +346,20 @@ def test_a_bag_of_an_imu_alone_is_told_from_one_with_images(tmp_path) -> None:
     samples = bag_maker.usual(images=0)
     assert bag_holds_only_imu(bag_maker.make_bag(tmp_path, "ros2", samples, name="alone"))
     assert not bag_holds_only_imu(bag_maker.make_bag(tmp_path, "ros2", bag_maker.usual(), name="rig"))
+
+
+def test_commas_between_columns_and_in_numbers_are_told(tmp_path) -> None:
+    rows = lambda i: numbers(T[i], F[i], W[i]).replace(".", ",")  # noqa: E731
+    path = lines(tmp_path / "log.csv", rows, "t,ax,ay,az,gx,gy,gz")
+    with pytest.raises(RecordingError, match="Above them stand 7 names: are commas decimal points"):
+        read(path)
+
+
+def test_a_workbook_and_a_blackbox_are_told(tmp_path) -> None:
+    with zipfile.ZipFile(tmp_path / "log.xlsx", "w") as book:
+        book.writestr("xl/workbook.xml", "<w/>")
+    (tmp_path / "flight.bbl").write_bytes(b"H Product:Blackbox flight data recorder\n\x00\x01" + bytes(900))
+    with pytest.raises(RecordingError, match=r"workbook of a spreadsheet program\. Export"):
+        read(tmp_path / "log.xlsx")
+    with pytest.raises(RecordingError, match="blackbox_decode"):
+        read(tmp_path / "flight.bbl")

@@ -115,7 +115,10 @@ def log_files(path: Path) -> LogFiles | None:
         if not names or any(name.endswith(".npy") for name in names):
             return None
         if not any(map(_is_table, names)):
-            raise RecordingError(f"{path.name}: holds no table ({', '.join(names[:4])}). Export the recording as CSV.")
+            what = f"holds no table ({', '.join(names[:4])})"
+            if any(name.startswith("xl/") for name in names):
+                what = "this is a workbook of a spreadsheet program"
+            raise RecordingError(f"{path.name}: {what}. Export the recording as CSV.")
     else:
         names = [path.name] if path.is_file() else []
     tables = tuple(name for name in names if _is_table(name))

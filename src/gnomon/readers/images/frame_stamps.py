@@ -166,7 +166,7 @@ def refuse_strayed(t_ns: Integers, where: str, places: Sequence[str]) -> None:
     if far is not None:
         raise RecordingError(
             f"{where}, {places[far]}: the timestamp {t_ns[far]} ns is more than half a day from the middle of the "
-            f"others, {int(np.median(t_ns))} ns. Mend or remove it."
+            f"others, {int(np.median(t_ns))} ns. Fix or remove it."
         )
 
 
@@ -236,7 +236,7 @@ def _columns(file: TextFile, layout: TextLayout, stamp: int, named: int | None) 
         found = f'"{row[stamp][:40]}"' if len(row) == layout.columns else f"{len(row)} columns"
         expected = "the time of a frame" if len(row) == layout.columns else f"{layout.columns} as in the other rows"
         damaged = RecordingError(
-            f"{file.name}, line {line}: found {found}, expected {expected}. Mend or remove this line."
+            f"{file.name}, line {line}: found {found}, expected {expected}. Fix or remove this line."
         )
     if damaged is not None and whole:
         raise damaged

@@ -252,7 +252,7 @@ def _refuse_strayed(t_ns: Integers, file: TextFile, layout: TextLayout) -> None:
     if row is not None:
         raise RecordingError(
             f"{file.name}, line {line_number(file, layout, row)}: the timestamp {t_ns[row]} ns is more than half a day "
-            f"from the middle of the others, {int(np.median(t_ns))} ns. Mend or remove this line."
+            f"from the middle of the others, {int(np.median(t_ns))} ns. Fix or remove this line."
         )
 
 
@@ -267,6 +267,6 @@ def _whole(values: Column, file: TextFile, layout: TextLayout) -> Integers:
         line = line_number(file, layout, int(wrong[0]))
         raise RecordingError(
             f"{file.name}, line {line}: found {values[wrong[0]]:g} as the number of a tag or corner, expected a whole "
-            "number. Mend or remove this line."
+            "number. Fix or remove this line."
         )
     return numbers

@@ -128,7 +128,7 @@ def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples
     if far is not None:
         raise RecordingError(
             f"{name}: the timestamp of sample {far}, {samples.t_ns[far]} ns, is more than half a day from the middle "
-            f"of the others, {int(np.median(samples.t_ns))} ns. Mend or remove this sample."
+            f"of the others, {int(np.median(samples.t_ns))} ns. Fix or remove this sample."
         )
     steps = np.diff(samples.t_ns)
     backward = np.flatnonzero(steps < 0)

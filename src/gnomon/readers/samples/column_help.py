@@ -12,6 +12,7 @@ HELP = 'Say what the columns are with --columns, for example --columns "t ax ay 
 TRIAL = ' By their values, try --columns "{}"{}.'
 """What `columns_help` says where the values tell it."""
 
+_NO_COMMAS = "Export with semicolons or tabs between columns, or with decimal points."
 _MOST_LISTED = 24
 _FEWEST_COUNTED = 4
 
@@ -34,6 +35,9 @@ def columns_help(layout: TextLayout, quantities: Sequence[str] = ()) -> str:
     more = "; ..." if layout.columns > _MOST_LISTED else ""
     words = _likely_columns(layout, values, quantities or ["other"] * layout.columns)
     trial = "" if words is None else TRIAL.format(" ".join(words), "" if "t" in words else " with --rate HZ")
+    names = len(layout.preamble[-1].split(",")) if layout.preamble and layout.delimiter == "," else 0
+    if names > 1 and layout.columns in {2 * names - 1, 2 * names}:
+        trial = f" Above them stand {names} names: are commas decimal points, too? {_NO_COMMAS}"
     return f"Columns in the first rows: {'; '.join(listed)}{more}.{trial} {HELP}"
 
 

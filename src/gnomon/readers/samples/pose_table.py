@@ -254,7 +254,7 @@ def _check(poses: Poses, file: TextFile, layout: TextLayout) -> None:
         if bad.any():
             at = int(np.argmax(bad))
             where = f"{file.name}, line {lines[at]}" if at < len(lines) else file.name
-            raise RecordingError(f"{where} ({poses.name[at]}): {what} Mend or remove this line.")
+            raise RecordingError(f"{where} ({poses.name[at]}): {what} Fix or remove this line.")
 
     for sigma in (poses.accelerometer_sigma, poses.gyroscope_sigma):
         if sigma is not None:

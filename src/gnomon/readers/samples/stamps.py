@@ -156,7 +156,7 @@ def _numbers(stamps: NDArray[Any], where: str) -> Floats:
             except ValueError:
                 found = bytes(stamp).decode("latin-1")[:40]
                 raise RecordingError(
-                    f'{where}: timestamp {row + 1} is "{found}", which is no number. Mend or remove its line.'
+                    f'{where}: timestamp {row + 1} is "{found}", which is no number. Fix or remove its line.'
                 ) from None
         raise
 

@@ -94,9 +94,10 @@ def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
     masks = [[is_number(token, comma) for token in row] for row in rows]
     counts = Counter(len(row) for row, mask in zip(rows, masks, strict=True) if sum(mask) >= max(1, len(row) // 2))
     if not counts:
+        json = " Of JSON, write one object a line." if lines[0].lstrip()[:1] in {"[", "{"} else ""
         raise RecordingError(
-            f"{file.name}: no table of numbers found in the first {len(lines)} lines (the first one begins with "
-            f'"{lines[0][:40]}"). Expected rows such as: {expected}.'
+            f"{file.name}: no table of numbers found in its first lines, {len(lines)} looked at (the first one begins "
+            f'with "{lines[0][:40]}"). Expected rows such as: {expected}.{json}'
         )
     columns = max(counts, key=lambda n: (counts[n], n))
     first = _first_row(rows, masks, columns)
@@ -265,13 +266,13 @@ def _located(
         if len(row) != layout.columns:
             return RecordingError(
                 f"{where}: found {len(row)} columns, expected {layout.columns} as in the other rows. "
-                "Mend or remove this line."
+                "Fix or remove this line."
             )
         for i, (token, kind) in enumerate(zip(row, kinds, strict=True)):
             name = f"column {i + 1}" + (f" ({layout.header[i]})" if layout.header else "")
             if kind and not is_number(token):
                 found = f'"{token[:40]}"' if token else "nothing"
-                return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
+                return RecordingError(f"{where}, {name}: found {found}, expected a number. Fix or remove this line.")
             if kind and not may_be_lost and not measurable_numbers(np.array(float(token.strip('"')))):
                 return RecordingError(
                     f"{where}, {name}: found {token[:40]}, expected a finite number that a sensor can read. "
