@@ -2,11 +2,8 @@
 
     python benchmarks/temperature.py --seeds 100 --first 90000 --write
 
-Each seed draws a sensor (order, turn-on scatter), a thermometer (lag 0 to 60 s, steps 0.01 to 1 K) and five warm-ups
-of one range and speed; four are used, and the change of the bias over the fifth is foretold. Its error is against
-the truth of the simulation, the mean left out, which belongs to the switching-on. PX4: a cubic by least squares through
-all samples, with the temperature as read (process_sensor_caldata.py, by its description). ArduPilot: a cubic through
-means of two seconds (INS_TCAL, by its documentation). Healthy: sensors that do not change, or a steady temperature.
+Each seed is a sensor of `gnomon study temperature`, with these numbers as seeds. Healthy: sensors that do not change,
+or a steady temperature.
 Faults: thermometers that are none, and what names them. Turned: scales from three temperatures, against the truth.
 """
 
@@ -17,20 +14,12 @@ from pathlib import Path
 import numpy as np
 
 import gnomon
-from gnomon.recording.thermometer import temperature_course
 from gnomon.results.sensors import TEMPERATURE_PARTS
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
-from gnomon.simulate.temperature import TemperatureSimulation, simulate_temperature
+from gnomon.simulate.temperature import simulate_temperature
+from gnomon.study.temperature import METHODS, TemperatureTask, draw_scenario, run_temperature
 
 HERE = Path(__file__).parent
-Floats = np.ndarray
-AT = 200
-CHIPS = {  # white noise as of the data sheets, 0.005 and 0.014 deg/s/sqrt(Hz), 400 and 175 ug/sqrt(Hz)
-    "MPU-6050": {"gyroscope_white_noise": 8.7e-5, "accelerometer_white_noise": 3.9e-3},
-    "BMI088": {
-        "gyroscope_white_noise": 2.4e-4, "accelerometer_white_noise": 1.7e-3, "gyroscope_bias_instability": 1e-5,
-    },
-}  # fmt: skip
 FAULTS = {
     "none": (lambda one: None, "RecordingError"),
     "one temperature": (lambda one: replace(one, values=25 + 0.02 * np.sin(np.arange(len(one)))), "temperature-range"),
@@ -41,73 +30,9 @@ FAULTS = {
 """What happens to a thermometer -> the finding that has to name it."""
 
 
-def scenario_of(rng: np.random.Generator, order: int) -> TemperatureScenario:
-    """Return a sensor and its thermometer."""
-    return TemperatureScenario(
-        **CHIPS[str(rng.choice(list(CHIPS)))],
-        recordings=5,
-        rate_hz=20.0,
-        duration_s=900.0,
-        order=order,
-        start_degc=float(rng.uniform(-5, 15)),
-        end_degc=float(rng.uniform(45, 60)),
-        time_constant_s=float(rng.uniform(120, 300)),
-        lag_s=float(rng.choice([0.0, 10.0, 30.0, 60.0])),
-        step_k=float(rng.choice([0.01, 0.1, 0.5, 1.0])),
-        gyroscope_turn_on=float(rng.choice([1e-4, 1e-3])),
-    )
-
-
-def means(values: Floats, count: int) -> Floats:
-    return np.array([part.mean(axis=0) for part in np.array_split(values, count)])
-
-
-def cubic(made: TemperatureSimulation, every_s: float) -> Floats:
-    """Return the coefficients of a cubic through samples, or means of so many seconds, and what was read."""
-    x, y = [], []
-    for recording in made.recordings[:-1]:
-        imu = recording.imus["imu0"]
-        count = len(imu.gyroscope) if not every_s else int(imu.gyroscope.duration_s / every_s)
-        x.append(means(imu.temperature.values, count) if every_s else imu.temperature.values)
-        y.append(means(imu.gyroscope.values, count) if every_s else imu.gyroscope.values)
-    return np.polynomial.polynomial.polyfit(np.concatenate(x) - 35.0, np.concatenate(y), 3)
-
-
-def errors(seed: int) -> tuple[dict[str, float], float, bool]:
-    """Return the rms error of each method [rad/s], the rms of ours in sigmas, and whether the order is right."""
-    rng = np.random.default_rng(seed)
-    order = int(rng.integers(0, 4))
-    made = simulate_temperature(scenario_of(rng, order), seed)
-    result = gnomon.calibrate_temperature(made.recordings[:-1])
-    found = result.calibration.imus["imu0"].temperature
-    left_out = made.recordings[-1].imus["imu0"]
-    at = np.linspace(0, len(left_out.gyroscope) - 1, AT).astype(int)
-    truth = made.truth.change("gyroscope_bias", made.degc[-1][at])
-    truth -= truth.mean(axis=0)
-    course = temperature_course(left_out.temperature, found.lag_s)
-    degc = course.at(left_out.gyroscope.t_ns[at])
-    ours = found.change("gyroscope_bias", degc)
-    ours -= ours.mean(axis=0)
-    read = left_out.temperature.values[at] - 35.0
-    known = {"gnomon": float(np.sqrt(np.mean((ours - truth) ** 2)))}
-    for name, every_s in (("PX4", 0.0), ("ArduPilot", 2.0)):
-        theirs = np.polynomial.polynomial.polyval(read, cubic(made, every_s)).T
-        theirs -= theirs.mean(axis=0)
-        known[name] = float(np.sqrt(np.mean((theirs - truth) ** 2)))
-    z = float("nan")
-    if found.gyroscope_bias is not None:
-        count = len(found.gyroscope_bias)
-        covariance = result.calibration.covariance("imu0.temperature.gyroscope_bias")
-        powers = np.vander(degc - found.reference_degc, count + 1, increasing=True)[:, 1:]
-        powers -= powers.mean(axis=0)
-        variance = [np.einsum("ij,jk,ik->i", powers, covariance[a::3, a::3], powers) for a in range(3)]
-        z = float(np.sqrt(np.mean((ours - truth) ** 2) / np.mean(variance)))
-    return known, z, result.triads["gyroscope"].order == order
-
-
 def named(seed: int) -> dict[str, bool]:
     """Return of each fault whether it is named, and where nothing can be told nothing is found."""
-    scenario = replace(scenario_of(np.random.default_rng(seed), 1), recordings=2)
+    scenario = replace(draw_scenario(np.random.default_rng(seed), 1), recordings=2)
     recordings = simulate_temperature(scenario, seed).recordings
     found = {}
     for name, (change, code) in FAULTS.items():
@@ -179,13 +104,12 @@ def compared(options: argparse.Namespace) -> list[str]:
     """Return the table of the methods."""
     rows, zs, right = [], [], 0
     for seed in range(options.first, options.first + options.seeds):
-        known, z, ok = errors(seed)
-        rows.append([known[name] for name in ("gnomon", "PX4", "ArduPilot")])
-        zs.append(z)
-        right += ok
-        print(
-            seed, " ".join(f"{name} {1e6 * value:.1f}" for name, value in known.items()), f"z {z:.2f} {ok}", flush=True
-        )
+        one = run_temperature(TemperatureTask(seed=seed))
+        rows.append(one.errors)
+        zs.append(one.z)
+        right += one.found == one.order
+        told = " ".join(f"{name} {1e6 * value:.1f}" for name, value in zip(METHODS, one.errors, strict=True))
+        print(seed, told, f"z {one.z:.2f} order {one.found} of {one.order}", flush=True)
     table = np.array(rows)
     ratio = np.sqrt(np.mean(table**2, axis=0))
     z_rms = float(np.sqrt(np.nanmean(np.square(zs))))
@@ -197,7 +121,7 @@ def compared(options: argparse.Namespace) -> list[str]:
         "| --- | --- | --- | --- |",
         *(
             f"| {name} | {1e6 * one:.1f} | {1e6 * np.median(table[:, i]):.1f} | {one / ratio[0]:.1f} |"
-            for i, (name, one) in enumerate(zip(("gnomon", "PX4", "ArduPilot"), ratio, strict=True))
+            for i, (name, one) in enumerate(zip(METHODS, ratio, strict=True))
         ),
     ]
 
@@ -217,7 +141,7 @@ def main() -> None:
     kept = 0
     for seed in range(options.first, options.first + options.healthy):
         rng = np.random.default_rng(seed)
-        scenario = replace(scenario_of(rng, 0), recordings=2)
+        scenario = replace(draw_scenario(rng, 0), recordings=2)
         if seed % 2:
             scenario = replace(scenario, start_degc=25.0, end_degc=25.4)
         result = gnomon.calibrate_temperature(simulate_temperature(scenario, seed).recordings)

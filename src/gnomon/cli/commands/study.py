@@ -118,6 +118,16 @@ def _tedaldi() -> StudyFunctions:
     return StudyFunctions(carry_out=study_tedaldi, claims=tedaldi_claims, tables=tedaldi_tables, page=tedaldi_page)
 
 
+def _temperature() -> StudyFunctions:
+    from ...report.studies.temperature import temperature_study_page
+    from ...study.temperature import study_temperature
+    from ...study.temperature_claims import temperature_claims, temperature_tables
+
+    return StudyFunctions(
+        carry_out=study_temperature, claims=temperature_claims, tables=temperature_tables, page=temperature_study_page
+    )
+
+
 STUDIES: Mapping[str, StudyEntry] = {
     "tedaldi": StudyEntry(
         about="Tedaldi 2014, an IMU from rests and rotations: Tables 4.1 to 4.5, gnomon beside what was published",
@@ -155,6 +165,15 @@ STUDIES: Mapping[str, StudyEntry] = {
         tables=("claims", "levels", "walks", "parts"),
         load=_circuit,
     ),
+    "temperature": StudyEntry(
+        about="biases over the temperature: gnomon beside the methods of PX4 and ArduPilot, on a warm-up left out",
+        counted="sensors, each with five warm-ups",
+        runs=100,
+        minutes=12,
+        stages=("sensor", "sensor that does not change"),
+        tables=("claims", "warm_ups"),
+        load=_temperature,
+    ),
 }
 """The studies by their names."""
 PAGE = "study.html"
@@ -179,7 +198,8 @@ class Study(Command):
         Argument(positional=True, metavar=f"{{{','.join(STUDIES)}}}"),
     ] = None
     """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano.
-    circuit: a rig carried round a circuit, with and without its calibration."""
+    circuit: a rig carried round a circuit, with and without its calibration. temperature: biases over the temperature,
+    beside the methods of PX4 and ArduPilot."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for study.html and the tables as CSV (default: gnomon-study-NAME)."""
     runs: int | None = None
