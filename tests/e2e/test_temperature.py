@@ -1,6 +1,7 @@
 """`gnomon temperature` from recordings to a corrected recording, and what it refuses."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,10 @@ def test_the_command_finds_it_and_apply_takes_it_off(warm_ups, run, tmp_path):
     assert code == 0, err
     document = json.loads(out)
     assert document["orders"] == {"gyroscope": 1, "accelerometer": 1}
-    assert (tmp_path / "found" / "report.html").is_file()
+    page = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
+    told = re.findall(r"left out: rms ([\d.]+) \S+ before, ([\d.]+) \S+ after", page)
+    assert len(told) == 2
+    assert all(float(after) < 0.3 * float(before) for before, after in told)
     found = tmp_path / "found" / "calibration.yaml"
     corrected = tmp_path / "corrected.csv"
     code, _, err = run("apply", found, paths[2], "-o", corrected)

@@ -6,8 +6,10 @@ import numpy as np
 
 from .._version import __version__
 from ..output import write_whole
-from ..results.temperature import TemperatureResult, TriadOverTemperature
+from ..results.intervals import Booleans
+from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .drawing.figures import AXES, Sheet, set_y_limits
+from .numbers import number_text
 from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
 from .sections import provenance_section
 
@@ -59,6 +61,7 @@ def temperature_page(result: TemperatureResult) -> ReportPage:
         findings=tuple(typeset_finding(finding) for finding in calibration.assessment.findings),
         front=tuple(figures),
         sections=(
+            *_residual_sections(result),
             Section("numbers", "Numbers", blocks=[_coefficients(result), _scatter(result)]),
             Section("method", "How this was found", blocks=[_method()]),
             provenance_section(calibration.provenance),
@@ -89,6 +92,47 @@ def _figure(name: str, kind: str, triad: TriadOverTemperature, reference_degc: f
     legend.append(Legend("dash", "accent", "reference"))
     drawn = sheet.draw(f"temperature-{name}-{kind}", 356, alt)
     return Figure(f"{name.capitalize()}, {kind} over the temperature", drawn, legend)
+
+
+def _residual_sections(result: TemperatureResult) -> list[Section]:
+    """Return the section on what the polynomials leave of warm-ups at rest; none where there are none."""
+    figures = [
+        _residuals(name, triad)
+        for name, triad in result.triads.items()
+        if len(np.unique(triad.axes[0].warm_up)) < len(triad.axes[0].degc)
+    ]
+    return [Section("residuals", "Before and after", blocks=figures)] if figures else []
+
+
+def _residuals(name: str, triad: TriadOverTemperature) -> Figure:
+    """Draw the bias over the temperature before and after, on one scale, by whether the temperature rises or falls."""
+    factor, unit = _UNITS[name]
+    degc = np.concatenate([axis.degc for axis in triad.axes])
+    rises = np.concatenate([_rises(axis) for axis in triad.axes])
+    before = np.concatenate([axis.values - axis.values.mean() for axis in triad.axes])
+    after = before - np.concatenate([np.interp(axis.degc, axis.at_degc, axis.change) for axis in triad.axes])
+    after = np.concatenate([part - part.mean() for part in np.split(after, 3)])
+    sheet = Sheet()
+    for top, title, values in ((36, "Before", before), (286, "After", after)):
+        x_label = "temperature [°C]" if title == "After" else ""
+        panel = sheet.panel(f"{title} [{unit}]", top=top, height=170, x_label=x_label)
+        for branch, color in ((rises, "accent"), (~rises, "heldout")):
+            panel.dots(degc[branch], factor * values[branch], color, 3)
+        panel.x.span(float(degc.min()), float(degc.max()))
+        set_y_limits(panel, factor * before, factor * after)
+    rms = [float(factor * np.sqrt(np.mean(values**2))) for values in (before, after)]
+    told = f"rms {number_text(rms[0], 3)} {unit} before, {number_text(rms[1], 3)} {unit} after"
+    drawn = sheet.draw(f"residual-{name}", 516, f"Bias of the {name} over the temperature before and after: {told}.")
+    legend = [Legend("dot", "accent", "while it rises"), Legend("dot", "heldout", "while it falls")]
+    caption = f"All axes, means over bins, the mean left out: {told}."
+    return Figure(f"{name.capitalize()}, what the polynomials leave", drawn, legend, caption)
+
+
+def _rises(axis: AxisOverTemperature) -> Booleans:
+    """Return of each bin whether the temperature rises there, (n,)."""
+    parts = np.split(axis.degc, np.flatnonzero(np.diff(axis.warm_up)) + 1)
+    slopes = [np.gradient(part) if len(part) > 1 else np.ones(1) for part in parts]
+    return np.asarray(np.concatenate(slopes) >= 0)
 
 
 def _coefficients(result: TemperatureResult) -> ReportTable:
