@@ -100,6 +100,67 @@ def turned(options: argparse.Namespace) -> list[str]:
     return lines
 
 
+def turned_once(options: argparse.Namespace) -> list[str]:
+    """Return the table of slopes that `gnomon imu` finds while the temperature rises and falls once.
+
+    Beside the sensors themselves: the same temperature, but biases that drift with the time and not with it (8 mrad/s
+    and 50 mm/s^2 over the recording; a line, a decay, a random walk), and sensors whose temperature only rises.
+    """
+    scenario = TemperatureScenario(
+        turned=True, order=1, sensitivity_order=0, sensitivity_scatter=0.0, recordings=1, intervals=36, rate_hz=100.0,
+        self_heating_k=15.0, time_constant_s=60.0, start_degc=20.0, end_degc=40.0, back=True,
+    )  # fmt: skip
+    z: dict[str, list[float]] = {"accelerometer_bias": [], "gyroscope_bias": []}
+    missed, wrong = dict.fromkeys(z, 0), dict.fromkeys(("line", "decay", "walk", "one way"), 0)
+    for seed in range(options.first, options.first + options.imu):
+        made = simulate_temperature(scenario, seed)
+        found = slopes_of(made.recordings[0])
+        for part in z:
+            missed[part] += part not in found
+            if part in found:
+                slopes, sigma = found[part]
+                z[part] += ((slopes - getattr(made.truth, part)[0]) / sigma).tolist()
+        wrong["one way"] += bool(slopes_of(simulate_temperature(replace(scenario, back=False), seed).recordings[0]))
+        imu = simulate_temperature(replace(scenario, order=0), seed).recordings[0].imus["imu0"]
+        rng, t = np.random.default_rng([seed, 2]), np.linspace(0, 1, len(imu.gyroscope))
+        walk = np.cumsum(rng.standard_normal(len(t))) / np.sqrt(len(t))
+        for name, drift in {"line": t, "decay": np.exp(-4 * t), "walk": walk}.items():
+            gyroscope, accelerometer = (
+                replace(triad, values=triad.values + size * drift[:, None] * rng.standard_normal(3))
+                for triad, size in ((imu.gyroscope, 8e-3), (imu.accelerometer, 5e-2))
+            )
+            drifting = replace(imu, gyroscope=gyroscope, accelerometer=accelerometer)
+            wrong[name] += bool(slopes_of(gnomon.Recording(imus={"imu0": drifting})))
+    lines = [
+        "",
+        f"slopes by gnomon imu, 15 K up and down once, {options.imu} sensors (seeds {options.first} to "
+        f"{options.first + options.imu - 1})",
+        "",
+        "| | not found in | NEES per entry | within 2 sigma | worst [sigma] |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for part, each in z.items():
+        one = np.array(each)
+        lines.append(
+            f"| {part.replace('_', ' ')} | {missed[part]} | {np.mean(one**2):.2f} | {np.mean(abs(one) < 2):.1%} | "
+            f"{abs(one).max():.1f} |"
+        )
+    told = ", ".join(f"{name} {count}" for name, count in wrong.items())
+    return [*lines, "", f"slopes where there is none, of {options.imu} each: {told}"]
+
+
+def slopes_of(recording: gnomon.Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the slopes that `gnomon imu` finds, and their sigmas; none of a recording that it refuses."""
+    try:
+        calibration = gnomon.calibrate_imu(recording).calibration
+    except gnomon.GnomonError as error:
+        print(error)
+        return {}
+    found = calibration.imus["imu0"].temperature
+    parts = () if found is None else found.parts()
+    return {part: (value[0], calibration.sigma(f"imu0.temperature.{part}")[0]) for part, value in parts}
+
+
 def compared(options: argparse.Namespace) -> list[str]:
     """Return the table of the methods."""
     rows, zs, right = [], [], 0
@@ -135,6 +196,7 @@ def main() -> None:
     parser.add_argument("--turned", type=int, default=0, help="sensors that are turned at three temperatures")
     parser.add_argument("--temperatures", type=int, default=3, help="of each of these")
     parser.add_argument("--scatter", type=float, default=1.0, help="their scatter between recordings over the usual")
+    parser.add_argument("--imu", type=int, default=0, help="sensors that are turned once while it rises and falls")
     parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
     options = parser.parse_args()
     lines = compared(options) if options.seeds else []
@@ -153,6 +215,8 @@ def main() -> None:
         lines += ["", f"thermometer, {name}: named in {sum(one[name] for one in every)} of {len(every)}"]
     if options.turned:
         lines += turned(options)
+    if options.imu:
+        lines += turned_once(options)
     print("\n".join(lines))
     if options.write:
         text = "# Biases over the temperature\n\nWritten by `python benchmarks/temperature.py --write`.\n\n"

@@ -238,6 +238,36 @@ def test_simulated_warm_ups_are_read_by_the_command_that_they_propose(run, tmp_p
 
 
 @pytest.mark.long
+@pytest.mark.long
+def test_a_temperature_that_goes_one_way_is_told(warm_ups):
+    """A drift from the start on looks the same; one recording that also cools down tells them apart."""
+    made, _ = warm_ups
+
+    def codes(recordings):
+        return {finding.code for finding in gnomon.calibrate_temperature(recordings).calibration.assessment.findings}
+
+    assert "temperature-one-way" in codes(made.recordings[:1])
+    back = simulate_temperature(replace(SCENARIO, recordings=1, back=True), 11)
+    assert "temperature-one-way" not in codes(back.recordings)
+
+
+@pytest.mark.long
+def test_imu_tells_its_temperature_and_what_goes_on(run, tmp_path):
+    scenario = TemperatureScenario(
+        turned=True, order=1, sensitivity_order=0, recordings=1, intervals=24, rate_hz=50.0, self_heating_k=15.0,
+        time_constant_s=50.0, back=True,
+    )  # fmt: skip
+    save_recording(simulate_temperature(scenario, 3).recordings[0], tmp_path / "warm.npz")
+    code, out, err = run("imu", tmp_path / "warm.npz", "-o", tmp_path / "result")
+    assert code == 0, err
+    assert "bias follows the temperature" in " ".join(out.split())
+    assert "(T - T_ref)^1" in out
+    assert f"gnomon temperature WARM-UP --calibration {tmp_path / 'result'}" in out
+    page = (tmp_path / "result" / "report.html").read_text(encoding="utf-8")
+    assert "bias over the temperature" in page
+    assert "Temperature of the chip" in page
+
+
 def test_camera_imu_says_that_the_warm_up_is_not_over():
     scenario = gnomon.CameraImuScenario(
         duration_s=9.0, motion="normal", imu_rate_hz=100.0, camera_rate_hz=10.0, target_cols=3, target_rows=3

@@ -47,16 +47,22 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
         findings.append(make_finding(f"temperature-falls/{kind}", fall=fall, low=low, high=high))
     if result.lag_s:
         findings.append(make_finding("thermometer-lag", lag=result.lag_s, sigma=result.lag_sigma_s))
-    if len(result.names) == 1:
-        findings.append(make_finding("turn-on-unknown"))
-    one_attitude = "accelerometer" not in result.sensitivities
-    if one_attitude and "accelerometer" in result.triads and result.triads["accelerometer"].order:
-        findings.append(make_finding("one-attitude"))
-    if result.nominal:
-        findings.append(make_finding("sensor-nominal"))
+    changes = "accelerometer" in result.triads and result.triads["accelerometer"].order > 0
+    findings += [
+        *([make_finding("turn-on-unknown")] if len(result.names) == 1 else []),
+        *([make_finding("temperature-one-way")] if _one_way(result) else []),
+        *([make_finding("one-attitude")] if changes and "accelerometer" not in result.sensitivities else []),
+        *([make_finding("sensor-nominal")] if result.nominal else []),
+    ]
     if result.stirred > _STIRRED:
         findings.append(make_finding("warm-up-stirred", share=100 * result.stirred))
     return merge_by_cause(findings)
+
+
+def _one_way(result: TemperatureResult) -> bool:
+    """Return whether warm-ups at rest tell what the temperature does, and it goes one way in all of them."""
+    warm_ups = [one for one in result.triads.values() if len(one.axes[0].degc) > len(one.left_out_z)]
+    return any(one.order for one in warm_ups) and all(np.isnan(one.branches).all() for one in warm_ups)
 
 
 def _fall(result: TemperatureResult) -> float | None:
