@@ -64,8 +64,9 @@ def test_the_side_that_reads_gravity_is_kept_where_it_has_enough_rests() -> None
     assert find_range_change(np.full(40, 9.8), rests, 4000, 9.8, 10) is None
 
 
-def test_rests_that_shake_more_are_counted_as_not_used(imu) -> None:
-    noise = np.random.default_rng(1).normal(0, 0.1, imu.accelerometer.values.shape)
+@pytest.mark.parametrize("rms", [0.1, 2.0])
+def test_rests_that_shake_more_are_counted_as_not_used(imu, rms) -> None:
+    noise = np.random.default_rng(1).normal(0, rms, imu.accelerometer.values.shape)
     rests = detected(imu, imu.accelerometer.values + after(imu, 0.7) * noise).chosen.rests
     assert RESTS - 2 <= len(rests) <= RESTS
     late = imu.accelerometer.t_s[rests.kept.start] > 0.7 * imu.accelerometer.t_s[-1]

@@ -27,7 +27,7 @@ SHORTEST_S = 0.5
 _USUAL = 10.0  # multiplier where nothing tells which serves best
 _SHAKES = "it shakes more than the rests that are used"
 _RANGE = "the accelerometer reads gravity as another number there"
-_LOUDEST = 1e6  # multiplier at which a rest that shakes thirty times as much as the others is still seen
+_LOUD, _LOUDEST = 1e6, 1e12  # multipliers at which a rest that shakes 30 and 1000 times as much is still seen
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
 _SUSPICIOUS_SIGMA = 2.5
@@ -95,7 +95,7 @@ def detect_rests(
         return None
     statistic = static_statistic(accelerometer.values, window)
     motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
-    usual, loudest = (find_rests(motion, m, _shortest(accelerometer)) for m in (_USUAL, _LOUDEST))
+    usual, loudest = (find_rests(motion, m, _shortest(accelerometer)) for m in (_USUAL, _LOUD))
     change = _range_change(accelerometer, (usual, loudest), gravity_m_s2)
     if change is not None:
         first, end = change.kept
@@ -106,6 +106,9 @@ def detect_rests(
     if chosen.fit is None:
         chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
     if len(gyroscope):  # which alone tells a rest that shakes from a slow turn
+        if change is None:
+            steady = replace(motion, statistic=np.where(motion.marks.turns, np.inf, motion.statistic))
+            loudest = find_rests(steady, _LOUDEST, _shortest(accelerometer))
         chosen = replace(chosen, rests=_with_unused(chosen.rests, loudest, change))
     return RestDetection(motion=motion, chosen=chosen, trials=trials, range_change=change)
 
