@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
+from gnomon.calibrate.steps import camera_imu_model
+from gnomon.estimate.camera_imu import gauss_newton, solution
+from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
@@ -73,3 +76,20 @@ def test_a_board_as_stated_stays_so():
     result = calibrate_camera_imu(simulation.recording, simulation.target, options)
     z = errors(result, simulation)["target.offsets"][1]
     assert rms(z) == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.long
+def test_board_and_lens_join_the_model_from_one_linearisation(monkeypatch):
+    done = []
+
+    def counted(*args, **keywords):
+        done.append(len(args[2]))
+        return linearize_batch(*args, **keywords)
+
+    for module in (solution, gauss_newton, camera_imu_model):
+        monkeypatch.setattr(module, "linearize_batch", counted)
+    simulation = simulate_camera_imu(scenario(duration_s=12.0), seed=5)
+    result = calibrate_camera_imu(simulation.recording, simulation.target)
+    assert set(result.calibration.assessment.trust.added) == {"intrinsics", "k3", "board"}
+    assert len(done) <= 8  # three to the frames that fit, one beside the candidates, four with them
+    assert rms(errors(result, simulation)["target.offsets"][1]) == pytest.approx(1, abs=0.15)

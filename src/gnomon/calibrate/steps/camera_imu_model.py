@@ -15,15 +15,15 @@ from statistics import NormalDist
 import numpy as np
 
 from ...errors import SolveError
-from ...estimate.camera_imu.batch import RigState, linearize_batch
+from ...estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
 from ...estimate.camera_imu.choices import estimation_choices, imu_blocks, lens_tolerances
-from ...estimate.camera_imu.gauss_newton import gauss_newton_step
-from ...estimate.camera_imu.layout import border_layout
+from ...estimate.camera_imu.gauss_newton import apply_step, gauss_newton_step, step_by
+from ...estimate.camera_imu.layout import BorderLayout, border_layout
 from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, evaluate_nested_models, step_columns
 from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.cluster_sums import cluster_sums
 from ...estimate.camera_imu.result.residual_patterns import board_evidence, counting_corners
-from ...estimate.camera_imu.solution import Solution, minimise_cost
+from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.board import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
@@ -37,6 +37,7 @@ from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import CameraCalibration, Covariance
 from ...results.trust import ModelStep
+from ...solve.bordered_band import Workspace
 
 _CODE = "rolling-shutter"
 LINE_DELAY = "line delay"
@@ -182,11 +183,15 @@ def select_model(
     base = cache(lambda: _judged(solution, stated, share))
     steps = {} if _BOARD in stated else {_BOARD: _board_step(solution)}
     asked, may_have_k3 = _asked(steps, stated), "k3" not in stated and _may_have_k3(solution)
-    if not (asked and may_have_k3):  # else all is judged beside k3
+    if not (asked and (may_have_k3 or solution.paused)):  # else all is judged beside k3, or after the next step
         steps |= {step.name: step for step in base().steps}
         asked = _asked(steps, stated, promising=True)
-    if {"intrinsics", _BOARD} & set(asked) and may_have_k3:
-        steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated, share).steps}
+    beside: Solution | None = None
+    if solution.paused or ({"intrinsics", _BOARD} & set(asked) and may_have_k3):
+        beside = _seen_beside(solution, options, k3=may_have_k3, board=_BOARD in asked)
+        after = replace(beside, state=apply_step(beside.state, beside.layout, beside.step))
+        steps |= {step.name: step for step in _judged(after, stated, share).steps}
+        del after
         asked = _asked(steps, stated, promising=True)
     judged: SelectedModel | None = None
     inside: tuple[str, ...] = ()
@@ -195,8 +200,14 @@ def select_model(
     while rounds and asked != inside:
         tell(f"estimating along: {', '.join(asked) or 'none of them'}")
         try:
-            judged = _judged(_estimated_along(solution, asked, options, tell), stated, share) if asked else base()
+            if asked or solution.paused:
+                larger, beside = _larger_model(solution, asked, options, beside), None  # once; its memory is used up
+                judged = _judged(_estimated(larger, options, tell, rests=solution.converged), stated, share)
+            else:
+                judged = base()
         except SolveError as error:
+            if not asked:
+                raise
             failed[_least(steps, asked)] = str(error)
         else:
             rounds, inside = rounds - 1, asked
@@ -269,6 +280,11 @@ def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> Sel
     return SelectedModel(solution=solution, sums=found, steps=steps)
 
 
+def proves_board(solution: Solution, options: CameraImuOptions) -> bool:
+    """Tell whether residuals prove that corners of the board lie off their places, where nobody decided on that."""
+    return _BOARD not in _stated(solution, options) and _board_step(solution).used
+
+
 def _board_step(solution: Solution) -> ModelStep:
     """Return what the corners of the board would bring, by residuals that stay the same from frame to frame.
 
@@ -302,14 +318,13 @@ def _gain(solution: Solution, share: float) -> float:
     return corners * share / max(1 - share, 0.1)
 
 
-def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
-    """Return the same solution, linearised with a column for the third radial coefficient, which is held."""
-    state, origin = _with_k3(solution)
+def _seen_beside(solution: Solution, options: CameraImuOptions, *, k3: bool, board: bool) -> Solution:
+    """Return the same state, linearised with columns for a third radial coefficient or the board, which are held."""
+    state, origin = _with_k3(solution) if k3 else (solution.state, solution.layout.start)
     chosen = estimation_choices(origin, options)
-    columns = border_layout(
-        origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)
-    )
-    spare = solution.spare_workspace()
+    held = (*candidate_blocks(origin), *((OFFSETS,) if board else ()))
+    columns = border_layout(origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, held)
+    spare = solution.lin.system.workspace if solution.paused else solution.spare_workspace()
     lin = linearize_batch(solution.measurements, state, columns, solution.noise, probing=True, workspace=spare)
     return replace(solution, state=state, layout=columns, lin=lin, step=gauss_newton_step(lin))
 
@@ -324,13 +339,34 @@ def _with_k3(solution: Solution) -> tuple[RigState, RigParameters]:
     return replace(state, parameters=wider(state.parameters)), wider(solution.layout.start)
 
 
-def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraImuOptions, tell: Progress) -> Solution:
-    """Return the solution with further blocks, from one without them.
+@value_class
+class _LargerModel:
+    """A model with further blocks, and where its estimation starts.
 
-    Raises
-    ------
-    SolveError
-        If it finds no minimum, or does not come to rest where the one without them did.
+    Attributes
+    ----------
+    columns, extended : see `minimise_cost`
+    before : largest and length of the step that led to the start, None where it was estimated by a smaller model
+    """
+
+    measurements: Measurements
+    state: RigState
+    columns: BorderLayout
+    extended: BorderLayout
+    noise: NoiseLevels
+    workspace: Workspace
+    before: tuple[float, float] | None = None
+
+
+def _larger_model(
+    solution: Solution, asked: Sequence[str], options: CameraImuOptions, beside: Solution | None
+) -> _LargerModel:
+    """Return the model with further blocks than a solution.
+
+    Parameters
+    ----------
+    beside : linearised with columns for blocks that may be asked for; where these are the ones, it starts after the
+        step from there
     """
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
     chosen = estimation_choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
@@ -341,19 +377,74 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
             one for data in measurements.inertial for one in on_trajectory(data, state.parameters, chosen.status, grid)
         )
         measurements = replace(measurements, inertial=tuple(inertial))
+    larger = _LargerModel(
+        measurements=measurements,
+        state=state,
+        columns=border_layout(origin, chosen.status, chosen.prior_sigma),
+        extended=border_layout(
+            origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)
+        ),
+        noise=solution.noise,
+        workspace=solution.spare_workspace(),
+    )
+    if beside is None or DELAY in asked or options.noise == "nominal" or solution.noise.lasting:
+        return larger
+    return _after_step(larger, beside, robust=options.robust) or larger
+
+
+def _after_step(larger: _LargerModel, beside: Solution, *, robust: bool) -> _LargerModel | None:
+    """Return a model that starts after a step, with frames and noise as they are there.
+
+    None where the equations have not its columns, or corners fit no better after the step.
+    """
+    columns, measured = larger.extended, beside.layout
+    same = measured.names == columns.names
+    if not same or not np.array_equal(measured.prior_information, columns.prior_information):
+        return None
+    step = step_by(beside.step.factor, columns)
+    try:
+        state = apply_step(beside.state, columns, step)
+    except SolveError:
+        return None
+    measurements, noise = judged_after(larger.measurements, state, columns, larger.noise, step)
+    if not all(a < b for a, b in zip(noise.pixel_sigma, larger.noise.pixel_sigma, strict=True)):
+        return None
+    return replace(
+        larger,
+        state=state,
+        noise=noise,
+        measurements=measurements if robust else larger.measurements,
+        workspace=beside.lin.system.workspace,
+        before=(step.largest, step.length),
+    )
+
+
+def _estimated(larger: _LargerModel, options: CameraImuOptions, tell: Progress, *, rests: bool) -> Solution:
+    """Return the solution of a larger model.
+
+    Parameters
+    ----------
+    rests : whether the one without its blocks came to rest
+
+    Raises
+    ------
+    SolveError
+        If it finds no minimum, or does not come to rest where the one without them did.
+    """
     found = minimise_cost(
-        measurements,
-        state,
-        border_layout(origin, chosen.status, chosen.prior_sigma),
-        border_layout(origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)),
-        solution.noise,
+        larger.measurements,
+        larger.state,
+        larger.columns,
+        larger.extended,
+        larger.noise,
         estimate_noise=options.noise != "nominal",
         estimate_walks=options.noise == "coloured",
         gate=options.robust,
         max_iterations=options.max_iterations,
         tell=tell,
-        workspace=solution.spare_workspace(),
+        workspace=larger.workspace,
+        before=larger.before,
     )
-    if solution.converged and not found.converged:
+    if rests and not found.converged:
         raise SolveError("it did not come to rest.")
     return found

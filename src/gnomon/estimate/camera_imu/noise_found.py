@@ -4,10 +4,12 @@ A group of residuals that was assumed to have sigma = 1 has sigma^2 = chi^2 / (n
 of the hat matrix); the trace comes from random signs carried along as a further right-hand side.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from ...recording import Integers
 from .batch import NoiseLevels, NormalEquations
 from .gauss_newton import GaussNewtonStep
 from .terms.corner_sums import CornerSums, Exposures
@@ -17,6 +19,7 @@ from .walk_noise import found_walks, walk_sums
 
 _LONGEST = 100  # images over which errors of a point may last
 _SMALL = 0.05  # correlation
+_MOST_ROUNDS, _SAME = 20, 1e-3  # of Huber's proposal, and relative change after which it stands
 
 
 def estimated_noise(lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLevels) -> NoiseLevels:
@@ -31,19 +34,34 @@ def estimated_noise(lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLev
             freedom = max(count - absorbed, 0.05 * count, 1.0)
             levels.append(sigma * float(np.sqrt(lin.inertial_chi2[i][which] / freedom)))
         imus.append(InertialNoise(gyroscope=levels[0], accelerometer=levels[1]))
-    pixels: list[float] = []
-    for camera, sigma in enumerate(noise.pixel_sigma):
-        probe = 1 + 2 * len(noise.imus) + camera
-        absorbed = step.factor.quadratic(probe, probe, free, step.covariance)
-        factor = _pixel_factor(lin.sums[camera], lin.inside[camera], sigma, noise.huber, absorbed)
-        pixels.append(sigma * factor)
     first = 1 + len(noise.pixel_sigma) + (2 + BIAS) * len(noise.imus)
     # After the step: under another level the biases are much smoother, or rougher, than before it.
     sums = walk_sums(lin.trajectory.plus(step.trajectory), noise.walks)
     walks = found_walks(sums, step.factor, first, free, step.covariance) * np.array(noise.walks)
     return replace(
-        noise, imus=tuple(imus), pixel_sigma=tuple(pixels), walks=tuple((float(g), float(a)) for g, a in walks)
+        noise,
+        imus=tuple(imus),
+        pixel_sigma=pixel_levels(lin.sums, lin.inside, noise, step, free),
+        walks=tuple((float(g), float(a)) for g, a in walks),
     )
+
+
+def pixel_levels(
+    sums: Sequence[CornerSums], inside: Sequence[np.ndarray], noise: NoiseLevels, step: GaussNewtonStep, free: Integers
+) -> tuple[float, ...]:
+    """Return the noise levels of corners that residuals of the cameras show.
+
+    Parameters
+    ----------
+    sums, inside : of the exposures of each camera, and which count
+    step, free : by equations with probes, and its columns: what of the residuals it absorbs
+    """
+    pixels: list[float] = []
+    for camera, sigma in enumerate(noise.pixel_sigma):
+        probe = 1 + 2 * len(noise.imus) + camera
+        absorbed = step.factor.quadratic(probe, probe, free, step.covariance)
+        pixels.append(sigma * _pixel_factor(sums[camera], inside[camera], sigma, noise.huber, absorbed))
+    return tuple(pixels)
 
 
 def lasting_factor(exposures: Exposures, sums: CornerSums) -> float:
@@ -80,4 +98,10 @@ def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: flo
     distance = distance[np.isfinite(distance)]
     freedom = max(2 * len(distance) - absorbed, 0.05 * len(distance), 1.0)
     share = 1 - np.exp(-0.5 * huber**2) if np.isfinite(huber) else 1.0
-    return float(np.sqrt((np.minimum(distance, huber) ** 2).sum() / (freedom * share)))
+    total = 1.0
+    for _ in range(_MOST_ROUNDS):
+        factor = float(np.sqrt((np.minimum(distance / total, huber) ** 2).sum() / (freedom * share)))
+        total *= factor
+        if abs(factor - 1) < _SAME:
+            break
+    return total

@@ -1,5 +1,6 @@
 """From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -10,10 +11,10 @@ from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
-from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
+from .batch import Measurements, NoiseLevels, NormalEquations, RigState, error_terms, linearize_batch
 from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search, step_by
 from .layout import BorderLayout
-from .noise_found import estimated_noise, lasting_factor
+from .noise_found import estimated_noise, lasting_factor, pixel_levels
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
 from .terms.inertial_data import InertialNoise
 from .walk_noise import next_walk
@@ -53,7 +54,8 @@ class Solution:
     layout : columns of the border
     lin, step : last linearisation and the step from it to the estimate; step.covariance is that of the free parameters
     iterations : how it went
-    converged : whether it came to rest
+    converged : whether it came to rest, or was on its way when it was paused
+    paused : whether it was left before it came to rest, as a larger model is estimated from here
     """
 
     state: RigState
@@ -65,6 +67,7 @@ class Solution:
     step: GaussNewtonStep
     iterations: tuple[Iteration, ...]
     converged: bool
+    paused: bool = False
 
     def spare_workspace(self) -> Workspace:
         """Return memory for another solution: that of the equations, of which the factor alone is needed on."""
@@ -101,6 +104,8 @@ def minimise_cost(
     max_iterations: int,
     tell: Progress = lambda _: None,
     workspace: Workspace | None = None,
+    before: tuple[float, float] | None = None,
+    enough: Callable[[Solution], bool] = lambda _: False,
 ) -> Solution:
     """Minimise the cost from a start.
 
@@ -112,6 +117,8 @@ def minimise_cost(
     estimate_noise : weigh by the levels that the residuals show
     estimate_walks : also by those of the biases' random walks
     gate : leave out frames that fit badly as a whole
+    before : largest and length of the step that led to the start, by equations with the columns of `extended`
+    enough : asked near the minimum, once noise levels and frames are roughly known: whether to pause there
 
     Raises
     ------
@@ -120,9 +127,11 @@ def minimise_cost(
     """
     state, iterations, converged = start, list[Iteration](), False
     first, judgements, workspace = noise, 0, workspace or Workspace()
-    lin = linearize_batch(measurements, state, layout, noise, probing=False, workspace=workspace)
-    step, found, changed, since = _step(lin), noise, False, 0  # since: the problem is the same
-    largest, length = np.inf, np.inf  # of the step before
+    far = before is None
+    lin = linearize_batch(measurements, state, layout if far else extended, noise, probing=not far, workspace=workspace)
+    step = _step(lin)
+    found, changed, since = noise, False, 0  # since: the problem is the same
+    largest, length = before or (np.inf, np.inf)  # of the step before
     rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         tell(Step(f"iteration {done + 1}: largest step {step.largest:.2g} sigma", detail=True))
@@ -154,6 +163,21 @@ def minimise_cost(
                 break
             if changed:  # another problem from here on: costs are not comparable
                 noise, measurements = judged.noise, replace(measurements, used=judged.used)
+                if settled and judgements == 1:
+                    here = Solution(
+                        state=state,
+                        measurements=measurements,
+                        noise=noise,
+                        noise_found=found,
+                        layout=lin.layout,
+                        lin=lin,
+                        step=step,
+                        iterations=tuple(iterations),
+                        converged=True,
+                        paused=True,
+                    )
+                    if enough(here):
+                        return here
                 lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
                 largest, length = step.largest, step.length
                 step, since = _step(lin, step.factor), len(iterations)
@@ -312,6 +336,21 @@ def _gate_outliers(measurements: Measurements, lin: NormalEquations, noise: Nois
             measurements.visual, lin.sums, lin.known, measurements.used, noise.pixel_sigma, strict=True
         )
     )
+
+
+def judged_after(
+    measurements: Measurements, state: RigState, columns: BorderLayout, noise: NoiseLevels, step: GaussNewtonStep
+) -> tuple[Measurements, NoiseLevels]:
+    """Return the frames that fit after a step of these columns, by equations with probes, and the noise of corners."""
+    terms = error_terms(replace(measurements, inertial=()), state, columns, noise, probing=False)[1]
+    sums, free = [term.sums for term in terms], columns.free_index
+    sigma_px = pixel_levels(sums, [term.inside for term in terms], noise, step, free)
+    used = tuple(
+        _fitting(data.exposures, term.sums, term.known, term.inside, sigma)
+        for data, term, sigma in zip(measurements.visual, terms, sigma_px, strict=True)
+    )
+    inside = [term.known & own for term, own in zip(terms, used, strict=True)]
+    return replace(measurements, used=used), replace(noise, pixel_sigma=pixel_levels(sums, inside, noise, step, free))
 
 
 def _fitting(
