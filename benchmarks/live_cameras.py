@@ -223,7 +223,8 @@ def study_hand(first, last):
             f"{max(guided):.0f}), unguided {np.median(alone):.0f} ({min(alone):.0f} to {max(alone):.0f}), how-to "
             f"{TUTORIAL_S:.0f} to {2 * TUTORIAL_S:.0f}; verdicts {dict(verdicts)}; largest error of T_cam_imu and time "
             f"shift {np.median(worst):.2f} sigma (median), {max(worst):.2f} (most), beyond 4: "
-            f"{sum(w > 4 for w in worst)}; predicted over final sigma {min(ratios):.2f} to {max(ratios):.2f}"
+            f"{sum(w > 4 for w in worst)}; predicted over final sigma: quantiles 0, 5, 50, 95, 100 % "
+            f"{np.round(np.quantile(ratios, [0, 0.05, 0.5, 0.95, 1]), 2).tolist()}"
         )
 
 

@@ -130,6 +130,7 @@ class Coach:
         self._rate_unit: float | None = None
         self._factors: dict[str, float] = {}
         self._not_yet, self._tried = "", 0
+        self._warned: frozenset[str] = frozenset()
         self._rested_s, self._cost_s = 0.0, 0.0
         self.state = CoachState()
 
@@ -169,10 +170,11 @@ class Coach:
             self._look_ahead()
             self._rested_s, self._cost_s = seconds, time.thread_time() - before_s
         faults = tuple(self._faults(still=still_s > _WINDOW_S))
-        if self._not_yet and not self.state.confirmed:
-            faults += (
-                Fault(code="not-yet", text=f"A calibration of the recording so far is not enough: {self._not_yet}"),
-            )
+        if self._not_yet:
+            code, why = "not-yet", "A calibration of the recording so far is not enough"
+            if self.state.confirmed:
+                code, why = "stays", "More rests do not mend this"
+            faults += (Fault(code=code, text=f"{why}: {self._not_yet}"),)
         self.state = replace(self.state, faults=faults)
         self.state = replace(self.state, **self._said(spread))
         return self.state
@@ -222,7 +224,10 @@ class Coach:
         self.state = replace(self.state, prospect=prospect, confirmed=confirmed)
 
     def _confirmed(self, imu: ImuSamples, foreseen: tuple[Need, ...]) -> tuple[bool, tuple[Need, ...]]:
-        """Return whether a calibration of the recording serves, and what it reached; learn from the difference."""
+        """Return whether a calibration of the recording serves, and what it reached; learn from the difference.
+
+        What a recording with more rests was warned of as well, such as a gap, holds nobody up.
+        """
         try:
             calibration = calibrate_imu(Recording(imus={"imu0": imu})).calibration
         except GnomonError as error:
@@ -234,11 +239,11 @@ class Coach:
             times = reached.get(need.block, need.sigma) / need.sigma
             self._factors[need.block] = self._factors.get(need.block, 1.0) * times
         judged = judge_for_use(calibration, None if self._use.name == GENERAL else self._use)
-        self._not_yet = next(
-            (finding.message for finding in judged.assessment.findings if finding.severity in {"problem", "warning"}),
-            "",
-        )
-        return judged.verdict == "pass" and all(need.verdict == "pass" for need in needs), needs
+        wrong = [one for one in judged.assessment.findings if one.severity in {"problem", "warning"}]
+        warned, self._warned = self._warned, frozenset(finding.code for finding in wrong)
+        self._not_yet = f"{wrong[0].message} {wrong[0].cure}" if wrong else ""
+        stays = judged.verdict == "warn" and self._warned <= warned
+        return (judged.verdict == "pass" or stays) and all(need.verdict == "pass" for need in needs), needs
 
     def _in_units(self, last_s: float | None) -> ImuSamples:
         """Return all samples, or those of the last seconds, in units as a reader would tell them."""

@@ -75,6 +75,20 @@ def test_a_hand_that_follows_the_advice_ends_with_a_calibration_that_serves(tmp_
     assert not {code for _, codes in said for code in codes}, "nothing was wrong"
 
 
+@pytest.mark.long
+def test_what_more_rests_do_not_mend_is_told_and_holds_nobody_up(tmp_path):
+    session, hand = session_in(tmp_path), SimulatedHand(4)
+    unplugged = (line for k, line in enumerate(hand.sample_lines()) if not 5200 <= k < 5400)
+    said = follow(session, hand, 140, unplugged, until=lambda state: state.confirmed)
+    session.end_recording()
+    state = said[-1][0]
+    assert state.confirmed
+    assert 12 <= len(state.prospect.up) <= 20
+    assert "not-yet" in {code for _, codes in said for code in codes}
+    (stays,) = [fault.text for fault in state.faults if fault.code == "stays"]
+    assert "gap" in stays
+
+
 def test_the_first_rest_is_asked_for_then_another_side(tmp_path):
     session, hand = session_in(tmp_path), SimulatedHand(2)
     said = follow(session, hand, 25)

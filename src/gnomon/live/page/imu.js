@@ -42,7 +42,7 @@ function drawBox(now) {
     const share = calm ? 1 : Math.min(1, Math.max(0, ((now / 1000) % 3) / 1.8));
     rotation = times(rotation, turn(axis, angle * (share * share * (3 - 2 * share))));
   }
-  const view = times(VIEW, rotation), size = 190;
+  const view = times(VIEW, rotation), size = 150; // axes of any attitude stay inside
   const faces = FACES.map(([normal, name]) => {
     const axis = normal.findIndex((v) => v !== 0);
     const corners = CORNERS.filter((c) => c[axis] * normal[axis] > 0);
