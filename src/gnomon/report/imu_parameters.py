@@ -424,7 +424,7 @@ def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit
         rows.append(parameter_line(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
     group = ParameterGroup(
         "Gyroscope g-sensitivity",
-        "B_g of chapter 4, on the force in the body frame",
+        "B_g, on the specific force in the body frame (Krebs, chapter 4)",
         with_bars(rows, _pairs(flat, spreads)),
     )
     return _marked(group, flat, spreads)

@@ -84,7 +84,7 @@ class ParameterGroup:
 class Legend:
     """What a mark in a figure means; page.css defines `color` as --plot-COLOR."""
 
-    mark: Literal["line", "dash", "band", "dot", "ring", "square-wave"]
+    mark: Literal["line", "dash", "band", "dot", "ring"]
     color: str
     label: str
 

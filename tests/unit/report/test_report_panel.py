@@ -104,7 +104,7 @@ def test_what_can_be_drawn():
     ]
     assert drawn(lambda p: p.across(0.5, "y"))[0][0] == "M10 45 110 45"
     assert drawn(lambda p: p.upright(0.5, "y"))[0][0] == "M60 70 60 20"
-    assert drawn(lambda p: p.wave(x, y, "y", width=1, alpha=0.5))[0][0] == "M10 70 60 20 110 45"
+    assert drawn(lambda p: p.shade(x[:1], x[1:2], "y", alpha=0.5))[0][0] == "M10 70H60V20H10z"
     assert drawn(lambda p: p.strip(0.2, 0.4, "y", alpha=0.5))[0][0] == "M10 60H110V50H10z"
     assert drawn(lambda p: p.steps(np.array([0.5, 1.0]), x, "y"))[0][0] == "M10 45 60 45 60 20 110 20"
     assert drawn(lambda p: p.dots(x, y, "y", 3))[0][0] == "M10 70h0M60 20h0M110 45h0"

@@ -214,10 +214,12 @@ class Panel:
         ends = np.array([0.0, 1.0])
         self._lines.append(Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
 
-    def wave(self, x: Floats, share: Floats, color: str, *, width: float, alpha: float) -> None:
-        """Draw a line through points (n,) whose heights are shares of the panel; nan interrupts it."""
-        style = svg.ShapeStyle(color=color, width=width, alpha=alpha)
-        self._lines.append(Shape(x=x, y=share, path=svg.line_path, style=style, shares="y"))
+    def shade(self, start: Floats, stop: Floats, color: str, *, alpha: float) -> None:
+        """Fill from the bottom to the top between numbers (n,) of the x scale."""
+        if len(start):
+            x, y = np.stack([start, stop], axis=1), np.tile([0.0, 1.0], (len(start), 1))
+            style = svg.ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True)
+            self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, shares="y"))
 
     def steps(self, height: Floats, edges: Floats, color: str) -> None:
         """Draw heights (n,) between edges (n + 1,)."""

@@ -56,7 +56,7 @@ def draw_raw_signals(diagnostics: ImuDiagnostics) -> Plot:
     axes.x.span(0, duration)
     axes.x.timed = True
     alt = (
-        f"Raw signals over {duration:.0f} s; a square wave is high where the recording is static: "
+        f"Raw signals over {duration:.0f} s; shaded where the recording is static: "
         f"{len(diagnostics.intervals.start_s)} intervals. Below, the detector's statistic against its threshold."
     )
     return sheet.draw("signals", height + 270 - 36, alt)
@@ -68,20 +68,8 @@ def _signal(panel: Panel, signal: SignalEnvelope, intervals: IntervalTable) -> N
         draw_envelope(panel, t, low[:, i], high[:, i], name)
     set_y_limits(panel, low, high)
     used = np.asarray(intervals.used, dtype=bool)
-    _square_wave(panel, intervals.start_s[used], intervals.stop_s[used], "ink")
-    _square_wave(panel, intervals.start_s[~used], intervals.stop_s[~used], "accent", closed=False)
-
-
-def _square_wave(panel: Panel, start: Floats, stop: Floats, color: str, *, closed: bool = True) -> None:
-    """Draw a wave that is high in the intervals; `closed` also draws it where it is low."""
-    if not len(start):
-        return
-    gap = np.full(len(start), np.nan)
-    t = np.stack([start, start, stop, stop] + ([] if closed else [gap]), axis=1).ravel()
-    level = np.tile([0.03, 0.97, 0.97, 0.03] + ([] if closed else [np.nan]), len(start))
-    if closed:
-        t, level = np.concatenate([[0.0], t, [1e12]]), np.concatenate([[0.03], level, [0.03]])
-    panel.wave(t, level, color, width=1.1, alpha=0.85)
+    for chosen, color in ((used, "before"), (~used, "accent")):
+        panel.shade(intervals.start_s[chosen], intervals.stop_s[chosen], color, alpha=0.3)
 
 
 def _statistic(panel: Panel, trace: DetectorTrace) -> None:

@@ -67,18 +67,16 @@ def _recording_section(diagnostics: ImuDiagnostics) -> Section:
     intervals = diagnostics.intervals
     used = _mask(intervals)
     still = float(np.sum(finite_values(intervals.stop_s[used] - intervals.start_s[used])))
-    waves = [Legend("square-wave", "ink", "static, used")]
+    waves = [Legend("band", "before", "static, used")]
     if not used.all():
-        waves.append(Legend("square-wave", "accent", "static, left out"))
+        waves.append(Legend("band", "accent", "static, left out"))
     figure = Figure(
         "Signals and static detector",
         figures.draw_raw_signals(diagnostics),
         (*_AXES, *waves, Legend("line", "accent", f"threshold {number_text(diagnostics.detector.multiplier, 3)}")),
-        "The signals as recorded, reduced to the minimum and maximum of short stretches. The square wave is "
-        f"high where the sensor rests: {int(used.sum())} intervals were used, {number_text(still, 4)} s in all. "
-        "Below, the "
-        "variance in a sliding window relative to its level at rest: where it stays under the threshold, the sensor is "
-        "static.",
+        "The signals as recorded, reduced to the minimum and maximum of short stretches; shaded where the sensor "
+        f"rests: {int(used.sum())} intervals were used, {number_text(still, 4)} s in all. Below, the variance in a "
+        "sliding window relative to its level at rest: where it stays under the threshold, the sensor is static.",
     )
     rejected = np.flatnonzero(~used)
     rows = [(str(i + 1), _span(intervals, i, 5), intervals.reason[i] or MISSING) for i in rejected[:MOST_ROWS].tolist()]

@@ -66,12 +66,12 @@ def detector_figure(study: TedaldiStudy) -> Figure:
     return Figure(
         "Fig. 4.9: static detector over the accelerometer, example 1",
         _signals("detector", example.t_s, example.before[0], "accelerometer [m/s²]", rests=example.rests),
-        (*(Legend("line", axis, axis) for axis in _AXES), Legend("square-wave", "ink", "high: at rest")),
+        (*(Legend("line", axis, axis) for axis in _AXES), Legend("band", "before", "at rest")),
     )
 
 
 def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats | None = None) -> Plot:
-    """Return the envelope of signals (n, 3) over time, with rests (k, 2) as a square wave."""
+    """Return the envelope of signals (n, 3) over time, with rests (k, 2) shaded."""
     step = -(-len(t_s) // _BINS)
     first = np.arange(0, len(t_s), step)
     low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
@@ -84,9 +84,7 @@ def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats |
     panel.x.span(t_s[0], t_s[-1])
     panel.across(0.0, "muted")
     if rests is not None:
-        edges = np.repeat(rests.ravel(), 2)
-        share = np.tile([0.04, 0.96, 0.96, 0.04], len(rests))
-        panel.wave(edges, share, "ink", width=1.2, alpha=0.8)
+        panel.shade(rests[:, 0], rests[:, 1], "before", alpha=0.3)
     return sheet.draw(name, 296, f"{title} over time, x, y and z.")
 
 
