@@ -166,6 +166,18 @@ def test_a_fit_that_explains_the_frames_is_not_failed_by_what_was_seen_before_it
     assert found[1].severity == "problem"
 
 
+@pytest.mark.parametrize(
+    ("added", "severity"), [((), "warning"), (("intrinsics",), "warning"), (("board",), "problem")]
+)
+def test_a_lens_that_was_estimated_does_not_fail_its_result(added, severity):
+    bent = Finding(severity="problem", code="distortion", message="Bent.", consequence="Poses are bent.", cure="Check.")
+    (found,) = judged_again([bent], None, estimated(added=added), converged=True)
+    assert found.severity == severity
+    assert ("lens was estimated" in found.consequence) == (added == ("intrinsics",))
+    (unfit,) = judged_again([bent], None, estimated(added=added, left_out=40), converged=True)
+    assert unfit == bent
+
+
 def test_a_board_that_was_shifted_is_named():
     simulation = simulate_camera_imu(ONE, 5)
     shifted = moved(simulation, (0.0, 0.0, 0.0), shift_m=(0.006, -0.008, 0.0))

@@ -11,6 +11,7 @@ from ..recording import Floats
 if TYPE_CHECKING:
     from ..estimate.camera_imu.layout import BorderLayout
     from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
+    from ..models.camera import Camera
 
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
@@ -101,13 +102,22 @@ def _lever_arms(name: str, imu: "ImuParameters") -> Finding:
     return make_finding("lever-arms-found", name=name, apart=apart, words=imu.origin.words)
 
 
+def _at_border_px(stated: "Camera", found: "Camera") -> float:
+    """Return the largest distance of both images of one ray, at the corners and the middle of the edges [px]."""
+    pixels = np.stack(np.meshgrid(*np.linspace(0, np.array(found.resolution) - 1.0, 3).T), axis=-1).reshape(-1, 2)
+    rays, seen = found.unproject(pixels)
+    image = stated.project(rays[seen], point_jacobian=False)
+    return float(np.max(np.linalg.norm(image.pixels - pixels[seen], axis=1)[image.valid], initial=0.0))
+
+
 def _lens(stated: "CameraParameters", found: "CameraParameters", board_told: bool) -> Finding:
     before, after = stated.camera.intrinsics[-4:], found.camera.intrinsics[-4:]
     focal = float(np.mean(after[:2] / before[:2]) - 1)
     moved = float(np.linalg.norm(after[2:] - before[2:]))
     doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
     k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
-    bent = f"; k3 is {k3:.3g}" if k3 else ""
+    bent = f", up to {_at_border_px(stated.camera, found.camera):.2g} px at the border of the image"
+    bent += f"; k3 is {k3:.3g}" if k3 else ""
     consequence = "The lens was estimated jointly: the corners fit clearly better with it than with the stated one."
     cure = "Use the lens of this result, or calibrate the camera anew."
     if doubtful:

@@ -46,6 +46,8 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "range-changed": frozenset({"gravity-magnitude", "unit"}),
     "gyroscope-range-changed": frozenset(
         {
+            *_BENT,
+            *("frames-late", "board-moved", "clock-jump", "rotation-one-axis"),
             *("not-observable", "parameter-changed", "unit", "rotations-left-out", "holdout-rotation", "beyond-noise"),
             *("uncertainty-gyroscope", "parts-disagree", "model-incomplete"),
         }

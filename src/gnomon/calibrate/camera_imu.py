@@ -46,6 +46,7 @@ from .steps.camera_imu_model import (
     LINE_DELAY,
     SelectedModel,
     candidate_blocks,
+    proven_lens,
     select_model,
     shutters_estimated,
     with_free_landmarks,
@@ -119,13 +120,14 @@ def _calibrated(
     rig = _align(recording, target, prepared)
     prepared = rig.prepared
     estimated, rolling = with_line_delays(options, rig.looks, prepared.findings)
+    lens = proven_lens(options, prepared.findings)
     tell("estimating")
     try:
-        first = estimate_rig(rig, gravity, estimated, [known_imu(one) for one in known], tell)
+        first = estimate_rig(rig, gravity, estimated, [known_imu(one) for one in known], tell, added=lens)
     except SolveError as error:
         raise SolveError(f"{error}{likely_cause(prepared.findings, prepared.move)}") from error
     detectors = {name: frames.detector_scale_sigma for name, frames in rig.recording.cameras.items()}
-    chosen = select_model(first, estimated, tell, own_detector=not any(detectors.values()))
+    chosen = select_model(first, estimated, tell, lens=lens, own_detector=not any(detectors.values()))
     solution, certain = _with_uncertainty(chosen, estimated, detectors)
     basic, uncompared = basic_model(chosen.solution.layout.start, solution, estimated, tell)
     tell("assessing the result")

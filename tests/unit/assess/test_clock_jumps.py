@@ -42,6 +42,23 @@ def jumps(recording, target):
     return [finding for finding in check_corners(recording, target) if finding.code == "clock-jump"]
 
 
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
+def test_a_gyroscope_whose_range_changes_is_no_jump(simulation, factor) -> None:
+    imu = simulation.recording.imus["imu0"]
+    values = imu.gyroscope.values.copy()
+    values[2400:] *= factor  # after 12 of 20 s
+    imu = replace(imu, gyroscope=replace(imu.gyroscope, values=values))
+    recording = replace(simulation.recording, imus={"imu0": imu})
+    found, *others = [one for one in check_corners(recording, simulation.target) if one.severity == "problem"]
+    assert (found.code, others) == ("gyroscope-range-changed", [])
+    told = float(found.message.partition("to show ")[2].split()[0])
+    assert told == pytest.approx(factor, rel=0.1)
+    at_s = float(found.message.partition("between ")[2].split()[0])
+    assert at_s == pytest.approx(12, abs=1)
+    with pytest.raises(RecordingError, match="began to show"):
+        calibrate_camera_imu(recording, simulation.target)
+
+
 @pytest.mark.parametrize(
     ("stream", "at_s", "by_s", "said"),
     [

@@ -25,6 +25,7 @@ MISTAKES = {
     "imu a --gravity nine": "--gravity nine: expected a number",
     "imu a --gravity 3": "from 9 to 10.5",
     "imu a --report": "no option --report",
+    "turntable a --rpm 33": "no option --rpm. gnomon turntable --help",
     "simulate cameras -o x --resolution 640": "expected 2 arguments",
     "simulate cameras -o x --resolution 640 4x": "expected a whole number",
     "simulate platter-video -o x --hidden 1 2 3": "expected 2 for each",

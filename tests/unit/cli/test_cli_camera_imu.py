@@ -207,6 +207,11 @@ def test_files_may_be_named(simulated, tmp_path, solver, flag):
     assert code == 2
     assert "--cam is missing" in err
     assert "camchain.yaml" in err
+    assert "--resolution WIDTH HEIGHT makes one" in err
+    code, _, err = run("camera", bare, "-o", tmp_path / "new")
+    assert code == 2
+    assert "--target is missing" in err
+    assert "Give --resolution WIDTH HEIGHT" in err, "all that is missing is said at once"
     code, _, err = run("camera-imu", bare, *named[:4], "-o", tmp_path / "new", "--no-report")
     assert code == 2
     assert "--target is missing" in err

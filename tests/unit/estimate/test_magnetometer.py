@@ -97,6 +97,18 @@ def test_disturbed_stretches_are_named_and_left_out() -> None:
     assert len(table.name) <= 400
 
 
+def test_a_unit_that_changes_half_way_is_not_blamed_on_iron_nearby() -> None:
+    recording, _ = simulate_magnetometer(FieldScenario(accelerometer=False), 8)
+    imu = recording.imus["imu0"]
+    values = imu.magnetometer.values.copy()
+    values[3000:] *= 10.0
+    changed = replace(imu, magnetometer=replace(imu.magnetometer, values=values))
+    result = calibrate_magnetometer(replace(recording, imus={"imu0": changed}))
+    (found,) = [f for f in result.calibration.assessment.findings if f.code == "magnetometer-disturbed"]
+    assert "60.0" in found.message
+    assert found.cure.startswith("See whether the unit, the range")
+
+
 def test_alignment_to_the_accelerometer_and_dip_south_of_the_equator() -> None:
     scenario = FieldScenario(dip_deg=-38.0, misalignment_deg=40.0, rests=12, field=30.0)
     scaled, _, result = errors(scenario, 2, MagnetometerOptions(field=30.0))

@@ -119,35 +119,43 @@ def judged_again(
     if not (converged and _explains(diagnostics)):
         return told
     held = move is not None and _contradicted(diagnostics.signals, move.t_s)
+    added = _added(diagnostics)
+    explained = {"distortion"} if added & {"intrinsics", "k3"} else set[str]() if added else set(_MAY_BE_EXPLAINED)
+    if not (added or held):
+        explained.add("board-moved")
     return [
-        _explained(finding)
-        if finding.severity == "problem"
-        and (finding.code in _MAY_BE_EXPLAINED or (finding.code == "board-moved" and not held))
+        _explained(finding, lens=bool(added))
+        if finding.severity == "problem" and finding.code in explained
         else finding
         for finding in told
     ]
 
 
-def _explained(finding: Finding) -> Finding:
+def _explained(finding: Finding, *, lens: bool) -> Finding:
     return replace(
         finding,
         severity="warning",
-        consequence="The estimation, which weighs all of it together, explains nearly all frames nevertheless, and its "
+        consequence="The lens was estimated jointly: with it nearly all frames fit, and the recording's parts agree."
+        if lens
+        else "The estimation, which weighs all of it together, explains nearly all frames nevertheless, and its "
         "parts agree: it is more likely an error of single poses.",
     )
 
 
 def _explains(diagnostics: CameraImuDiagnostics) -> bool:
-    """Tell whether an estimation fits nearly all frames as they were stated, and its parts agree."""
+    """Tell whether an estimation fits nearly all frames, and its parts agree."""
     for fit in diagnostics.corners.values():
         bad = sum(reason == MISFIT for reason in fit.frame_reason)
         if bad > _LEFT_OUT * max(int(fit.frame_used.sum()), 1) or not fit.sigma_px < _PIXELS:
             return False
     trust = diagnostics.trust
-    if trust is None:
-        return True
-    added = any(step.used and not step.forced and step.name in {"board", "intrinsics", "k3"} for step in trust.models)
-    return not added and (trust.splits is None or trust.splits.z_rms <= trust.splits.limit)
+    return trust is None or trust.splits is None or trust.splits.z_rms <= trust.splits.limit
+
+
+def _added(diagnostics: CameraImuDiagnostics) -> set[str]:
+    """Return what of lens and board was estimated by evidence: frames fit with it, not as they were stated."""
+    trust, blocks = diagnostics.trust, {"board", "intrinsics", "k3"}
+    return set() if trust is None else {step.name for step in trust.models if step.used and step.name in blocks}
 
 
 def _contradicted(signals: dict[str, SignalFit], t_s: float) -> bool:

@@ -10,11 +10,13 @@ window; the accelerometer is averaged with the same one. The products of A_a wit
 are unknowns of their own, so that all of it stays linear.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solveh_banded
 
-from ...estimate.camera_imu.start.alignment import gyroscope_integral
+from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_integral
 from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...frozen import value_class
@@ -59,19 +61,33 @@ class AxesFit:
         return float(np.sign(np.linalg.det(self.matrix))) if singular[-1] > 0.3 * size > 0 else 0.0
 
 
-def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
-    """Return how the gyroscope reads the camera's rotation; None where too little was seen."""
-    integral = gyroscope_integral(stream.t_s, stream.rate)
+class Turns(NamedTuple):
+    """Turns between frames: when [s] (n,), mean rates that the camera saw and the gyroscope read [rad/s] (n, 3)."""
+
+    start_s: Floats
+    stop_s: Floats
+    seen: Floats
+    read: Floats
+
+
+def turns_between_frames(poses: BoardPoses, integral: GyroscopeIntegral, time_shift_s: float) -> Turns:
+    """Return the turns between frames about a tenth of a second apart."""
     first, second = _pairs(poses.t_s, _TURN_S)
     start, stop = poses.t_s[first] + time_shift_s, poses.t_s[second] + time_shift_s
-    inside = (start >= stream.t_s[0]) & (stop <= stream.t_s[-1])
+    inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
     first, second, start, stop = first[inside], second[inside], start[inside], stop[inside]
-    if len(first) < _FEWEST_TURNS:
-        return None
     length = (stop - start)[:, None]
     between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)
     seen = rotvec_from_rotation(between) / length
-    read = (integral(stop) - integral(start)) / length
+    return Turns(start_s=start, stop_s=stop, seen=seen, read=(integral(stop) - integral(start)) / length)
+
+
+def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
+    """Return how the gyroscope reads the camera's rotation; None where too little was seen."""
+    start, stop, seen, read = turns_between_frames(poses, gyroscope_integral(stream.t_s, stream.rate), time_shift_s)
+    if len(seen) < _FEWEST_TURNS:
+        return None
+    length = (stop - start)[:, None]
     design = np.column_stack([seen, np.ones(len(seen))])
     fit = _robust(design, read)
     change = (_rate(stream, stop) - _rate(stream, start)) / length

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...detect.samples.range_change import find_range_change
 from ...detect.samples.saturation import saturated_samples
 from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import (
@@ -20,14 +21,14 @@ from ...findings import Finding, make_finding
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Recording
-from ...results.intervals import Booleans
+from ...results.intervals import Booleans, StaticIntervals
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
 from .board_turn import BoardTurns, board_move, moved_finding
 from .clock_drift import look_at_drift
-from .rig_axes import AxesFit, FrameTimes, accelerometer_axes, frame_times, gyroscope_axes
+from .rig_axes import AxesFit, FrameTimes, Turns, accelerometer_axes, frame_times, gyroscope_axes, turns_between_frames
 from .rig_lens import check_lens
 
 _EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
@@ -42,6 +43,7 @@ _SHIFT_S = 0.1
 _CORNERS = 12
 _SCATTERED = 3.0  # times the usual scatter of a frame's corners about its pose
 _SLOW_RAD_S = 0.15
+_WINDOW_S = 1.0
 
 
 def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, ...]:
@@ -59,11 +61,16 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
 
 
 _OF_AN_IMU = frozenset(
-    {"not-aligned", "axes-differ", "axes-mirrored", "triads-apart", "clock-jump", "clock", "clock-drift", "time-shift"}
+    {
+        *("not-aligned", "axes-differ", "axes-mirrored", "triads-apart", "clock-jump", "clock", "clock-drift"),
+        *("time-shift", "gyroscope-range-changed"),
+    }
 )
 """Findings on a camera beside an IMU that tell something of the IMU."""
 
-_NAME_THE_IMU = frozenset({"triads-apart", "clock-jump", "clock", "clock-drift", "time-shift"})
+_NAME_THE_IMU = frozenset(
+    {"triads-apart", "clock-jump", "clock", "clock-drift", "time-shift", "gyroscope-range-changed"}
+)
 
 
 def name_imu(imu: str, finding: Finding) -> Finding:
@@ -224,14 +231,17 @@ def check_clock_steps(
 ) -> list[Finding]:
     """Return a problem for each jump of a clock that is too large for one time shift to begin with (code clock-jump).
 
+    A gyroscope whose range changed looks the same, and is told instead (code gyroscope-range-changed).
+
     Parameters
     ----------
     name, poses : of the camera
     integral, imu : of the gyroscope, and the IMU's name
     alignment : of the whole recording; None where it failed
     """
-    findings: list[Finding] = []
-    for step in clock_steps(poses, integral, alignment):
+    shift_s = 0.0 if alignment is None else alignment.time_shift_s
+    findings = _range_changed(imu, turns_between_frames(poses, integral, shift_s))
+    for step in () if findings else clock_steps(poses, integral, alignment):
         ahead_s = step.before_s - step.after_s  # of the camera's clock against the IMU's
         # A clock that was set forward leaves a gap of that length in its own stream.
         if ahead_s > 0:
@@ -243,6 +253,24 @@ def check_clock_steps(
             _jumped(imu, name, -ahead_s, at_s, which) if which == imu else _jumped(name, imu, ahead_s, at_s, which)
         )
     return findings
+
+
+def _range_changed(imu: str, turns: Turns) -> list[Finding]:
+    """Say where the gyroscope began to show several times as much of a rotation: by its scatter about each second."""
+    if not len(turns.seen):
+        return []
+    second = ((turns.start_s - turns.start_s[0]) / _WINDOW_S).astype(np.int64)
+    start = np.flatnonzero(np.diff(second, prepend=-1))
+    stop = np.append(start[1:], len(second))
+    scatter = np.array([[np.std(rate[a:b], axis=0) for a, b in zip(start, stop, strict=True)] for rate in turns[2:]])
+    seen, read = np.linalg.norm(scatter, axis=2)
+    told = (seen > _SLOW_RAD_S) & (read > 0)
+    parts = StaticIntervals(start=start[told], stop=stop[told])
+    change = find_range_change(read[told] / seen[told], parts, len(second))
+    if change is None:
+        return []
+    t_from_s, t_to_s = float(turns.start_s[change.last]), float(turns.stop_s[change.first])
+    return [make_finding("gyroscope-range-changed", label=imu, factor=change.factor, t_from_s=t_from_s, t_to_s=t_to_s)]
 
 
 def _gap(t_s: Floats, at_s: float, length_s: float) -> bool:

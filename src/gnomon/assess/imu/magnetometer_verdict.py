@@ -79,6 +79,8 @@ _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
 _COVER_WARN = 0.7
 _ALIGNED_WARN_RAD = 0.02
 _EARTH_UT = (22.0, 67.0)
+_LASTING = 0.2
+"""Of the time: while a sensor is turned, iron is not as near to it for so long."""
 _STRAY_WARN = 0.1
 _MOST_NAMED = 5
 _SIGNIFICANT = 4.0  # sigmas of a sum of squares
@@ -203,10 +205,12 @@ def _stray_findings(evidence: FieldFitSummary, found: FieldOutliers) -> list[Fin
         named = ", ".join(f"{low:.1f}-{high:.1f} s" for low, high in found.stretches[:_MOST_NAMED])
         more = f" and {len(found.stretches) - _MOST_NAMED} more" if len(found.stretches) > _MOST_NAMED else ""
         share = float(np.sum(found.stretches[:, 1] - found.stretches[:, 0])) / float(np.ptp(evidence.t_s))
+        longest = float(np.ptp(found.stretches, axis=1).max())
         findings.append(
             make_finding(
                 "magnetometer-disturbed",
                 severity="warning" if share > _STRAY_WARN else "info",
+                case="lasting" if longest > _LASTING * np.ptp(evidence.t_s) else "",
                 named=named,
                 more=more,
                 share=share,

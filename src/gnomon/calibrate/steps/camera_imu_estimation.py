@@ -64,12 +64,15 @@ def estimate_rig(
     options: CameraImuOptions,
     known: Sequence[ImuParameters | None],
     tell: Progress,
+    *,
+    added: Sequence[str] = (),
 ) -> Solution:
     """Return the solution with the options' model; begin anew where a time shift would leave the trajectory's span.
 
     Parameters
     ----------
     known : of each IMU, its errors as they are known beforehand, or None
+    added : names of blocks beyond that model, such as "intrinsics"
     """
     prepared, found = rig.prepared, rig.looks
     parameters = _first_parameters(rig, gravity, options, known)
@@ -84,7 +87,7 @@ def estimate_rig(
         if solution is None:
             _check_origin(options, estimation_choices(state.parameters, options).status)
             start = parameters = state.parameters
-        chosen = estimation_choices(state.parameters, options)
+        chosen = estimation_choices(state.parameters, options, added=added)
         origin = _with_gravity(start, state.parameters)
         solution = minimise_cost(
             _measurements(rig, state, options, chosen.status),

@@ -39,7 +39,7 @@ from ...results.calibration import CameraCalibration, Covariance
 from ...results.trust import ModelStep
 from ...solve.bordered_band import Workspace
 
-_CODE = "rolling-shutter"
+_CODE, _SHUTTER_SIGMAS = "rolling-shutter", 4.0
 LINE_DELAY = "line delay"
 """What is added to the model."""
 
@@ -82,6 +82,17 @@ def with_line_delays(
     return replace(options, free=(*options.free, *added)), bool(added)
 
 
+def proven_lens(options: CameraImuOptions, findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Return the blocks of the lens where single frames prove it so far off that a model without them tells nothing.
+
+    Model "auto" adds them, as long as the options say nothing of a lens.
+    """
+    blocks = ("intrinsics", "distortion_coeffs")
+    decided = any(block in text for text in (*options.fix, *options.free, *options.prior) for block in blocks)
+    far = any(finding.code == "distortion" and finding.severity == "problem" for finding in findings)
+    return blocks if options.model == "auto" and far and not decided else ()
+
+
 def shutters_estimated(
     findings: Sequence[Finding], cameras: Mapping[str, CameraCalibration], uncertainty: Covariance
 ) -> tuple[Finding, ...]:
@@ -96,11 +107,13 @@ def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Ma
     if not sigma:
         return finding
     delay = cameras[name].camera.line_delay_s
+    there = abs(delay) > _SHUTTER_SIGMAS * sigma
     return replace(
         finding,
         severity="info",
-        consequence=f"The line delay was estimated jointly: {1e6 * delay:.4g} +- {1e6 * sigma:.2g} us.",
-        cure=f"State it next time, --line-delay {delay:.4g}.",
+        consequence=f"The line delay was estimated jointly: {1e6 * delay:.4g} +- {1e6 * sigma:.2g} us"
+        f"{'' if there else ', none; what looked like one is explained by the rest of the model'}.",
+        cure=f"State it next time, --line-delay {delay:.4g}." if there else "",
     )
 
 
@@ -167,7 +180,12 @@ def candidate_blocks(start: RigParameters) -> tuple[str, ...]:
 
 
 def select_model(
-    solution: Solution, options: CameraImuOptions, tell: Progress, *, own_detector: bool = True
+    solution: Solution,
+    options: CameraImuOptions,
+    tell: Progress,
+    *,
+    lens: Sequence[str] = (),
+    own_detector: bool = True,
 ) -> SelectedModel:
     """Return the solution with the blocks that the recording asks for.
 
@@ -176,6 +194,7 @@ def select_model(
     solution : with the model of the options, and the columns of `candidate_blocks`
     options : model "auto" adds blocks by evidence; the others are estimated as they are
     tell : called with a sentence at each step
+    lens : the blocks that the solution has beyond the model of the options, see `proven_lens`
     own_detector : whether no detector's bias may pass for a lens
     """
     share = 0.0 if own_detector else _LENS_SHARE
@@ -183,12 +202,12 @@ def select_model(
     base = cache(lambda: _judged(solution, stated, share))
     steps = {} if _BOARD in stated else {_BOARD: _board_step(solution)}
     asked, may_have_k3 = _asked(steps, stated), "k3" not in stated and _may_have_k3(solution)
-    if not (asked and (may_have_k3 or solution.paused)):  # else all is judged beside k3, or after the next step
+    if not ((asked or lens) and (may_have_k3 or solution.paused)):  # else judged beside k3, or after the next step
         steps |= {step.name: step for step in base().steps}
         asked = _asked(steps, stated, promising=True)
     beside: Solution | None = None
-    if solution.paused or ({"intrinsics", _BOARD} & set(asked) and may_have_k3):
-        beside = _seen_beside(solution, options, k3=may_have_k3, board=_BOARD in asked)
+    if solution.paused or (may_have_k3 and ({"intrinsics", _BOARD} & set(asked) or lens)):
+        beside = _seen_beside(solution, options, lens, k3=may_have_k3, board=_BOARD in asked)
         after = replace(beside, state=apply_step(beside.state, beside.layout, beside.step))
         steps |= {step.name: step for step in _judged(after, stated, share).steps}
         del after
@@ -201,7 +220,10 @@ def select_model(
         tell(f"estimating along: {', '.join(asked) or 'none of them'}")
         try:
             if asked or solution.paused:
-                larger, beside = _larger_model(solution, asked, options, beside), None  # once; its memory is used up
+                larger, beside = (
+                    _larger_model(solution, asked, options, lens, beside),
+                    None,
+                )  # once; its memory is used up
                 judged = _judged(_estimated(larger, options, tell, rests=solution.converged), stated, share)
             else:
                 judged = base()
@@ -225,8 +247,8 @@ def select_model(
     return replace(
         judged or base(),
         steps=tuple(told),
-        added=inside,
-        tries=len(steps.keys() - stated.keys()),
+        added=(*(_LENS[:1] if lens else ()), *inside),
+        tries=len(steps.keys() - stated.keys()) + bool(lens),
         board_told=_BOARD in stated or steps[_BOARD].gain_sigma > 0,
         failed=failed,
     )
@@ -318,10 +340,12 @@ def _gain(solution: Solution, share: float) -> float:
     return corners * share / max(1 - share, 0.1)
 
 
-def _seen_beside(solution: Solution, options: CameraImuOptions, *, k3: bool, board: bool) -> Solution:
+def _seen_beside(
+    solution: Solution, options: CameraImuOptions, lens: Sequence[str], *, k3: bool, board: bool
+) -> Solution:
     """Return the same state, linearised with columns for a third radial coefficient or the board, which are held."""
     state, origin = _with_k3(solution) if k3 else (solution.state, solution.layout.start)
-    chosen = estimation_choices(origin, options)
+    chosen = estimation_choices(origin, options, added=lens)
     held = (*candidate_blocks(origin), *((OFFSETS,) if board else ()))
     columns = border_layout(origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, held)
     spare = solution.lin.system.workspace if solution.paused else solution.spare_workspace()
@@ -359,7 +383,7 @@ class _LargerModel:
 
 
 def _larger_model(
-    solution: Solution, asked: Sequence[str], options: CameraImuOptions, beside: Solution | None
+    solution: Solution, asked: Sequence[str], options: CameraImuOptions, lens: Sequence[str], beside: Solution | None
 ) -> _LargerModel:
     """Return the model with further blocks than a solution.
 
@@ -369,7 +393,7 @@ def _larger_model(
         step from there
     """
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
-    chosen = estimation_choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
+    chosen = estimation_choices(origin, options, added=[*lens, *(block for name in asked for block in _BLOCKS[name])])
     measurements = solution.measurements
     if DELAY in asked:
         grid = state.trajectory.grid

@@ -141,18 +141,31 @@ def _size(stream: ImageStream, resolution: Size | None) -> Size:
     return 1, 1  # no image can be read: looking for the board says so
 
 
+def untold_sizes(path: Path) -> str:
+    """Return what to do where tables of corners do not tell how large the images are; nothing where that is told."""
+    if not (path.is_dir() and holds_corners(folder := recording_folder(path))):
+        return ""
+    found = _beside(folder)
+    missing = [name for name in corner_streams(folder) if name not in found]
+    return (
+        ""
+        if not missing
+        else (
+            f"{folder}: tables of corners do not tell how large the images of {' and '.join(missing)} are. Give "
+            f"--resolution WIDTH HEIGHT in pixels, or put one image of each, such as {missing[0]}_1.png, or a "
+            f"{_BESIDE} into the folder."
+        )
+    )
+
+
 def _sized(folder: Path, resolution: Size | None, log: ReadLog) -> dict[str, CameraInput]:
     """Return the cameras of tables of corners by the size of their images: stated, of images or a camchain beside."""
     names = list(corner_streams(folder))
     if resolution is not None:
         return {name: _nominal(resolution) for name in names}
+    if untold := untold_sizes(folder):
+        raise OptionError(untold)
     found = _beside(folder)
-    if missing := [name for name in names if name not in found]:
-        raise OptionError(
-            f"{folder}: tables of corners do not tell how large the images of {' and '.join(missing)} are. Give "
-            f"--resolution WIDTH HEIGHT in pixels, or put one image of each, such as {missing[0]}_1.png, or a "
-            f"{_BESIDE} into the folder."
-        )
     for name in names:
         (width, height), where = found[name]
         log.note(f"{name}: images of {width} x {height} px, as {where} has it.")

@@ -21,6 +21,7 @@ from .turntable_attitudes import PlatterStream, turntable_parts
 
 _BETWEEN_FILES_S = 60.0
 _ALIKE, _ALIKE_NOISE = 0.03, 6.0  # of the fastest motion; of the noise of a block
+_FEWEST_AXES = 3
 _HARMLESS = {"saturation"}  # parts at the end of the range are named with their speed instead
 
 
@@ -172,19 +173,21 @@ def _refuse_unlike(
     Raises
     ------
     DetectionError
-        If nothing turns, everything that turns is saturated, or turns at other speeds.
+        If nothing turns, what turns is saturated but for fewer parts than there are axes, or turns at other speeds.
     """
     values = np.array([rate.rate_rad_s for rate in speeds])
     turning = (found.index != NO_SPEED) & (values[found.index] > 0)
     stated = " and ".join(f"{rate.name} ({rate.rate_rad_s:.4g} rad/s)" for rate in speeds[:-1])
-    if clipped.any() and not (turning & ~clipped).any():
+    if clipped.any() and (turning & ~clipped).sum() < _FEWEST_AXES:
         limit = max(float(np.abs(s.gyroscope.values[s.saturated] - found.zero).max(initial=0.0)) for s in streams)
         fastest = max(speeds, key=lambda rate: rate.rate_rad_s)
         known = GYROSCOPE_UNITS_RAD_S[unit]
         degrees = "" if known is None else f" ({np.degrees(limit * known):.0f} deg/s)"
+        left = int((turning & ~clipped).sum())
+        few = f", in all but {left} of {int((turning | clipped).sum())} steady parts" if left else ""
         raise DetectionError(
-            f"the gyroscope is saturated while the platter turns: its readings stop at {limit:.5g} {unit}{degrees}, "
-            f"and {fastest.name} is {np.degrees(fastest.rate_rad_s):.0f} deg/s. "
+            f"the gyroscope is saturated while the platter turns{few}: its readings stop at {limit:.5g} {unit}"
+            f"{degrees}, and {fastest.name} is {np.degrees(fastest.rate_rad_s):.0f} deg/s. "
             "Choose a slower speed, or a wider range of the sensor."
         )
     if turning.any():

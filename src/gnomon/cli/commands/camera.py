@@ -100,7 +100,7 @@ class CameraCommand(Command):
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
         from ...calibrate.cameras import calibrate_cameras
-        from ...calibrate.steps.camera_reading import read_camera_views
+        from ...calibrate.steps.camera_reading import read_camera_views, untold_sizes
         from ...formats.kalibr.cam_results import save_camera_files
         from ...readers.images.image_recording import recording_holds_imu, refuse_without_cameras
 
@@ -111,7 +111,8 @@ class CameraCommand(Command):
         if (target := beside["target"]) is None:
             refuse_without_cameras(self.recording)
             folder = self.recording if self.recording.is_dir() else self.recording.parent
-            raise OptionError(NO_TARGET.format(folder=folder))
+            sizes = "" if self.cam or self.resolution else untold_sizes(self.recording)
+            raise OptionError(f"{NO_TARGET.format(folder=folder)} {sizes}".rstrip())
         refuse_overwriting(folder, self.recording, {"cam": self.cam, "target": target}, CAMERA_FILES)
         with result_folder(folder, "camera", own=CAMERA_FILES) as staging:
             terminal.progress("reading the recording")

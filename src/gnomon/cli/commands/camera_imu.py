@@ -112,6 +112,7 @@ class CameraImu(Command):
         OptionError
             If a file that is needed was not named, and is not in the recording's folder.
         """
+        from ...calibrate.steps.camera_reading import untold_sizes
         from ...readers.images.image_recording import refuse_without_cameras, tells_no_lens
 
         place = self.recording
@@ -122,7 +123,8 @@ class CameraImu(Command):
         missing = [NO_TARGET.format(folder=folder)] if files["target"] is None else []
         if files["cam"] is None and tells_no_lens(place):
             target = shlex.quote(str(files["target"] or "target.yaml"))
-            missing.append(_NO_CAM.format(folder=folder, recording=shlex.quote(str(place)), target=target))
+            size = " --resolution WIDTH HEIGHT" if untold_sizes(place) else ""
+            missing.append(_NO_CAM.format(folder=folder, recording=shlex.quote(str(place)), target=target + size))
         if missing:
             refuse_without_cameras(place)
             raise OptionError(" ".join(missing))

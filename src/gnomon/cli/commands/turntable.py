@@ -224,6 +224,11 @@ class SimulateTurntable(Command):
         for name in videos:
             terminal.print(f"video        {folder / name}")
         terminal.print(f"truth        {folder / true}")
+        if max(simulation.rates) > scenario.gyroscope_range:
+            limit = (
+                f"{scenario.gyroscope_range:.3g} rad/s; --gyroscope-range {1.5 * max(simulation.rates):.2g} is enough"
+            )
+            terminal.print(f"note         the gyroscope clips at {limit}")
         terminal.propose("turntable", *(folder / name for name in names), "--rate", *rates.split())
         terminal.document(
             {
