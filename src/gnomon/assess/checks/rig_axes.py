@@ -61,8 +61,8 @@ class AxesFit:
         return float(np.sign(np.linalg.det(self.matrix))) if singular[-1] > 0.3 * size > 0 else 0.0
 
 
-class Turns(NamedTuple):
-    """Turns between frames: when [s] (n,), mean rates that the camera saw and the gyroscope read [rad/s] (n, 3)."""
+class FrameTurns(NamedTuple):
+    """FrameTurns between frames: when [s] (n,), mean rates that the camera saw and the gyroscope read [rad/s] (n, 3)."""
 
     start_s: Floats
     stop_s: Floats
@@ -70,7 +70,7 @@ class Turns(NamedTuple):
     read: Floats
 
 
-def turns_between_frames(poses: BoardPoses, integral: GyroscopeIntegral, time_shift_s: float) -> Turns:
+def turns_between_frames(poses: BoardPoses, integral: GyroscopeIntegral, time_shift_s: float) -> FrameTurns:
     """Return the turns between frames about a tenth of a second apart."""
     first, second = _pairs(poses.t_s, _TURN_S)
     start, stop = poses.t_s[first] + time_shift_s, poses.t_s[second] + time_shift_s
@@ -79,7 +79,7 @@ def turns_between_frames(poses: BoardPoses, integral: GyroscopeIntegral, time_sh
     length = (stop - start)[:, None]
     between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)
     seen = rotvec_from_rotation(between) / length
-    return Turns(start_s=start, stop_s=stop, seen=seen, read=(integral(stop) - integral(start)) / length)
+    return FrameTurns(start_s=start, stop_s=stop, seen=seen, read=(integral(stop) - integral(start)) / length)
 
 
 def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:

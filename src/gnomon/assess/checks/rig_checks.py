@@ -28,7 +28,15 @@ from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
 from .board_turn import BoardTurns, board_move, moved_finding
 from .clock_drift import look_at_drift
-from .rig_axes import AxesFit, FrameTimes, Turns, accelerometer_axes, frame_times, gyroscope_axes, turns_between_frames
+from .rig_axes import (
+    AxesFit,
+    FrameTimes,
+    FrameTurns,
+    accelerometer_axes,
+    frame_times,
+    gyroscope_axes,
+    turns_between_frames,
+)
 from .rig_lens import check_lens
 
 _EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
@@ -255,7 +263,7 @@ def check_clock_steps(
     return findings
 
 
-def _range_changed(imu: str, turns: Turns) -> list[Finding]:
+def _range_changed(imu: str, turns: FrameTurns) -> list[Finding]:
     """Say where the gyroscope began to show several times as much of a rotation: by its scatter about each second."""
     if not len(turns.seen):
         return []
