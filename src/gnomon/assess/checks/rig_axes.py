@@ -62,7 +62,7 @@ class AxesFit:
 
 
 class FrameTurns(NamedTuple):
-    """FrameTurns between frames: when [s] (n,), mean rates that the camera saw and the gyroscope read [rad/s] (n, 3)."""
+    """Turns between frames: when [s] (n,), mean rates that the camera saw and the gyroscope read [rad/s] (n, 3)."""
 
     start_s: Floats
     stop_s: Floats
