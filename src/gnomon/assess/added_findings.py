@@ -116,7 +116,7 @@ def _lens(stated: "CameraParameters", found: "CameraParameters", board_told: boo
     moved = float(np.linalg.norm(after[2:] - before[2:]))
     doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
     k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
-    bent = f", up to {_at_border_px(stated.camera, found.camera):.2g} px at the border of the image"
+    bent = f", up to {_at_border_px(stated.camera, found.camera):.3g} px at the border of the image"
     bent += f"; k3 is {k3:.3g}" if k3 else ""
     consequence = "The lens was estimated jointly: the corners fit clearly better with it than with the stated one."
     cure = "Use the lens of this result, or calibrate the camera anew."
