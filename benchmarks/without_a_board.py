@@ -49,7 +49,7 @@ HOSTILE = {
     "one tile again and again": replace(SMALL, surface="repeated"),
     "12 of 22 boxes move": replace(SMALL, moving=12),
     "in the dark": replace(SMALL, light=0.06, image_noise=4.0),
-    "blurred by motion": replace(SMALL, exposure_s=0.03, motion="shaky"),
+    "blurred by motion": replace(SMALL, exposure_s=0.03, motion="shaky", duration_s=12.0),
     "unknown rolling shutter": replace(SMALL, line_delay_s=3e-5),
     "large empty hall": replace(SMALL, room_m=(14.0, 6.0, 14.0), furniture=0),
 }

@@ -107,6 +107,8 @@ def test_landmarks_are_not_found_in_another_scene():
     )
     for near in (True, False):
         assert len(landmarks.find(textured(4), LENS, np.eye(3), np.zeros(3), reach_px=20.0, near=near)[0]) == 0
+        behind = np.array([0.0, 0.0, -5.0])
+        assert len(landmarks.find(textured(3), LENS, np.eye(3), behind, reach_px=20.0, near=near)[0]) == 0
 
 
 def test_tiles_look_like_each_other():

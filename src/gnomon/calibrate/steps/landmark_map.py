@@ -54,6 +54,13 @@ _UNSETTLED = (
 )
 
 
+_ELSEWHERE = (
+    "{name}: only {count} landmarks of the first camera are seen where its stated pose puts them. Either the pose or "
+    "the lens is another one, or its clock runs apart, or it never looks at the same things. Leave it out: give --cam "
+    "a file of the first camera alone."
+)
+
+
 @value_class
 class _Scene:
     """Key frames and points.
@@ -142,7 +149,19 @@ def map_landmarks(
         poses = T[:3, :3] @ R, p @ T[:3, :3].T + T[:3, 3]
         reach_px = _NEAR_PX if camera == name else _REACH_PX
         seen = _found_again(streams[camera], entry.camera, landmarks, inside, poses, reach_px=reach_px)
-        frames[camera] = _frames(camera, entry, t_ns, seen)
+        if (count := len(np.unique(seen.track))) < _FEWEST_LANDMARKS:
+            text = _UNSETTLED if camera == name else _ELSEWHERE
+            raise DetectionError(text.format(name=camera, count=count))
+        frames[camera] = CameraFrames(
+            t_ns=t_ns,
+            frame=seen.frame,
+            point=seen.track,
+            pixels=seen.pixels,
+            camera=entry.camera,
+            T_cam_imu=entry.T_cam_imu,
+            time_shift_cam_imu_s=entry.time_shift_cam_imu_s,
+            lens_covariance=entry.lens_covariance,
+        )
     likeness = landmarks.likeness()
     repeats = (make_finding("scene-repeats", name=name, likeness=likeness),) if likeness > _ALIKE else ()
     return frames, Target.landmarks(landmarks.points), repeats
@@ -181,30 +200,10 @@ def _refined(name: str, images: ImageStream, camera: Camera, scene: _Scene, at: 
     )
     scene = _adjusted(camera, scene)
     kept = np.flatnonzero(np.bincount(scene.point, minlength=len(rows)) >= _FEWEST_KEYS)
-    if len(kept) < _FEWEST_LANDMARKS:
+    if len(kept) < _FEWEST_LANDMARKS or len(_good_keys(scene)) < _FEWEST_KEYS:
         raise DetectionError(_UNSETTLED.format(name=name, count=len(kept)))
     anchor = anchors[kept]
     return scene, landmarks.moved(kept, scene.points[kept], scene.R[anchor], scene.p[anchor])
-
-
-def _frames(name: str, known: CameraInput, t_ns: Integers, seen: PointTracks) -> CameraFrames:
-    count = len(np.unique(seen.track))
-    if count < _FEWEST_LANDMARKS:
-        raise DetectionError(
-            f"{name}: only {count} landmarks of the first camera are seen where its stated pose puts them. Either the "
-            "pose or the lens is another one, or its clock runs apart, or it never looks at the same things. Leave it "
-            "out: give --cam a file of the first camera alone."
-        )
-    return CameraFrames(
-        t_ns=t_ns,
-        frame=seen.frame,
-        point=seen.track,
-        pixels=seen.pixels,
-        camera=known.camera,
-        T_cam_imu=known.T_cam_imu,
-        time_shift_cam_imu_s=known.time_shift_cam_imu_s,
-        lens_covariance=known.lens_covariance,
-    )
 
 
 def _stream(samples: ImuSamples) -> tuple[ImuStream, int]:
@@ -391,16 +390,20 @@ def _found_again(
     """Return where landmarks are in images `at` (k,), with about these poses."""
     pictures = zip(_decoded(images, camera, set(at.tolist())), *poses, strict=True)
     near = reach_px <= _NEAR_PX
-    found = list(
-        results_ahead(lambda one: landmarks.find(one[0], camera, *one[1:], reach_px=reach_px, near=near), pictures)
-    )
+    found = [(np.empty(0, np.int64), np.empty((0, 2)))]
+    found += results_ahead(lambda one: landmarks.find(one[0], camera, *one[1:], reach_px=reach_px, near=near), pictures)
     track, pixels = (np.concatenate(part) for part in zip(*found, strict=True))
-    return PointTracks(frame=np.repeat(at, [len(which) for which, _ in found]), track=track, pixels=pixels)
+    return PointTracks(frame=np.repeat(at, [len(which) for which, _ in found[1:]]), track=track, pixels=pixels)
+
+
+def _good_keys(scene: _Scene) -> Integers:
+    """Return the key frames that see enough landmarks."""
+    return np.flatnonzero(np.bincount(scene.key, minlength=len(scene.R)) >= _FEWEST_POINTS // 3)
 
 
 def _between(motion: _Motion, at: Integers, scene: _Scene, t_s: Floats) -> tuple[Floats, Floats]:
     """Return the poses of the scene at instants (n,): turned by the gyroscope from the nearest key frame."""
-    good = np.flatnonzero(np.bincount(scene.key, minlength=len(at)) >= _FEWEST_POINTS // 3)
+    good = _good_keys(scene)
     key_s = motion.t_s[at[good]]
     nearest = np.abs(t_s[:, None] - key_s).argmin(axis=1)
     R_cam_imu = motion.alignment.R_cam_imu

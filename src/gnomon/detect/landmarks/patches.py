@@ -25,7 +25,7 @@ _BORDER_PX = 14.0
 _SIZES = 0.45, 2.2  # of the area of what is seen, over that in the piece
 _MOST_TURNED = 0.6  # cosine of the angle between both lines of sight
 _STEP_PX = 4.0  # longest
-_NODE_PX = 10.0  # between the places at which a warp is known
+_NODE_PX, _NODES = 10.0, 9  # between the places at which a warp is known; how many there are
 
 
 @value_class(eq=True)
@@ -126,12 +126,12 @@ class Landmarks:
             inside = ((pixels >= _BORDER_PX) & (pixels <= limit)).all(axis=1)
         which = np.flatnonzero(inside & (cosine > _MOST_TURNED))
         rays, known = camera.unproject((pixels[which, None] + _nodes()).reshape(-1, 2))
-        rays = np.where(known[:, None], rays, np.nan).reshape(len(which), -1, 3) @ R
+        rays = np.where(known[:, None], rays, np.nan).reshape(len(which), _NODES, 3) @ R
         away = np.einsum("ni,ni->n", sight[which], placed[which] @ R)[:, None]
         with np.errstate(all="ignore"):
             met = rays * (away / np.einsum("nsi,ni->ns", rays, sight[which]))[:, :, None] - p @ R  # in the scene
         anchored = met @ np.swapaxes(self.R_anchor[which], 1, 2) + self.p_anchor[which, None]
-        there = self.camera.project(anchored.reshape(-1, 3), point_jacobian=False).pixels.reshape(len(which), -1, 2)
+        there = self.camera.project(anchored.reshape(-1, 3), point_jacobian=False).pixels.reshape(len(which), _NODES, 2)
         about = there - there[:, 4:5]
         along, across = about[:, 5] - about[:, 3], about[:, 7] - about[:, 1]
         with np.errstate(all="ignore"):

@@ -47,21 +47,13 @@ def cluster_sums(solution: Solution) -> ClusterSums:
     of each IMU: a model that is compared, or a part of the recording, takes these along as free. Valid until the next
     linearisation in the solution's workspace.
     """
-    layout, trajectory, noise = solution.layout, solution.state.trajectory, solution.noise
+    trajectory, noise = solution.state.trajectory, solution.noise
     grid = trajectory.grid
     shifts = board_follows(solution)
     follows = _following(solution, shifts)
     stretch, t_s = _stretches(grid)
     sums = _Sums(len(t_s), follows.shape[2])
-    inertial, visual = error_terms(solution.measurements, solution.state, layout, noise, probing=False)
-    for term in (*inertial, *visual):
-        columns = term.columns
-        for part in taken_together(term):
-            spans, rows = by_span(term.first[part], term.rows(part))
-            reduced = rows[:, :, : columns.border] @ _local(follows, grid, spans, columns.imu)
-            for to, own in columns.pieces:
-                reduced[:, :, to] += rows[:, :, own]
-            sums.add(stretch[spans], reduced, rows[:, :, columns.side])
+    _add_measurements(sums, solution, follows, stretch)
     if len(shifts):
         _add_board(sums, solution, follows, shifts=shifts, stretch=stretch)
     biases = trajectory.controls[:, POSE:]
@@ -119,6 +111,20 @@ class _Sums:
             number, flat = stretch[begin], rows[begin:end].reshape(-1, rows.shape[2])
             self.information[number] += flat.T @ flat
             self.pull[number] += right[begin:end].ravel() @ flat
+
+
+def _add_measurements(sums: _Sums, solution: Solution, follows: Floats, stretch: Integers) -> None:
+    """Add the rows of all readings and corners, but for what shifts of the board's corners do."""
+    state, grid = solution.state, solution.state.trajectory.grid
+    inertial, visual = error_terms(solution.measurements, state, solution.layout, solution.noise, probing=False)
+    for term in (*inertial, *visual):
+        columns = term.columns
+        for part in taken_together(term):
+            spans, rows = by_span(term.first[part], term.rows(part))
+            reduced = rows[:, :, : columns.border] @ _local(follows, grid, spans, columns.imu)
+            for to, own in columns.pieces:
+                reduced[:, :, to] += rows[:, :, own]
+            sums.add(stretch[spans], reduced, rows[:, :, columns.side])
 
 
 def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floats, stretch: Integers) -> None:
