@@ -128,6 +128,7 @@ def draw_residual_field(views: Mapping[str, CornerView]) -> Plot:
         known = np.isfinite(view.field.mean).all(axis=1)
         centre = view.field.corner[known] + np.array(view.field.size) / 2
         draw_arrows(panel, centre, longer * view.field.mean[known])
+        _draw_scale(panel, longer)
     return sheet.draw("field", images_height(views), "Mean residual of the corners over the image, as arrows.")
 
 
@@ -140,6 +141,18 @@ def draw_arrows(panel: Panel, start: Floats, along: Floats, color: str = "after"
     gap = np.full_like(start, np.nan)
     line = np.stack([start, tip, gap, barbs[0], tip, barbs[1], gap], axis=1).reshape(-1, 2)
     panel.line(line[:, 0], line[:, 1], color, width=1.5, clip=False)
+
+
+def _draw_scale(panel: Panel, longer: float) -> None:
+    """Draw a bar of a round length above the right end of an image, as long as arrows of that length are [px]."""
+    right, above = panel.x.high, panel.y.high - 0.03 * (panel.y.low - panel.y.high)
+    widest = 0.15 * (right - panel.x.low) / longer
+    power = 10.0 ** np.floor(np.log10(widest))
+    size = max(step * power for step in (1, 2, 5) if step * power <= widest)
+    ends, tick = np.array([right - longer * size, right]), np.full(2, above)
+    panel.line(ends, tick, "after", width=1.5, clip=False)
+    style = svg.TextStyle(color="muted", size=TEXT, align="right")
+    panel.text(f"arrow of {size:g} px", float(ends[0]), above, style, offset=(-6.0, 4.0))
 
 
 _PLACES = ("upper left", "upper middle", "upper right", "middle left", "middle", "middle right",

@@ -105,7 +105,7 @@ def _needs_table(line: LineAssessment) -> ReportTable:
         cells = (number_text(needed, 2), median, number_text(float(sigmas.max()), 2), unit, number_text(cpk, 3))
         rows.append((block, *cells, f"{passed} of {len(known)}"))
     head = ("known, needed", "needed", "median sigma", "largest", "unit", "Cpk", "pass")
-    caption = "" if rows else "The results were judged for no use: gnomon batch --for USE."
+    caption = "" if rows else "General use states no needs; gnomon batch --for USE judges for one that does."
     return ReportTable("What the use needs", head, rows, caption, dense=True)
 
 

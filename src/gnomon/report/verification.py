@@ -38,7 +38,7 @@ def verification_page(verification: Verification, subject: str = "") -> ReportPa
         title="Does the calibration still hold?",
         subject=subject or verification.use,
         verdict=verification.verdict,
-        headline=verification.headline,
+        headline=verification.headline[:1].upper() + verification.headline[1:],
         key_numbers=(
             KeyNumber("Blocks", str(len(verification.blocks))),
             KeyNumber("Moved", str(len(verification.moved))),

@@ -15,6 +15,7 @@ from gnomon.report import write_report
 from gnomon.report.camera_imu.sections import imu_section
 from gnomon.report.camera_imu.signals import rig_motion, signal_name, telling_section
 from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting_text, nominal_mounting
+from gnomon.report.corner_figures import draw_residual_field
 from gnomon.report.corner_view import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter
 from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
@@ -364,6 +365,12 @@ def test_mean_residuals_belong_to_their_place_in_the_image(short):
             assert mean == pytest.approx([0.3, -0.1] if there[0] > 319.5 else [0.0, 0.2])
     longer = field_magnification({"cam0": view})
     assert 0.5 * view.field.size[0] < longer * np.hypot(0.3, 0.1) < view.field.size[0]
+
+    drawing = draw_residual_field({"cam0": view}).svg  # the bar above it is as long as an arrow of the length it tells
+    told = re.search(r"arrow of ([\d.]+) px", drawing)
+    bar = re.search(r'd="M([\d.]+) ([\d.]+) ([\d.]+) \2"', drawing)
+    width = float(re.search(r'data-panel="\S+ \S+ (\S+)', drawing)[1])
+    assert float(bar[3]) - float(bar[1]) == pytest.approx(longer * float(told[1]) * width / 640, rel=1e-3)
 
 
 def test_motion_has_no_gravity_in_its_acceleration(short):
