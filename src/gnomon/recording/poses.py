@@ -1,10 +1,16 @@
 """Mean readings at rest, attitude by attitude."""
 
+from dataclasses import fields, replace
+from itertools import compress
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from ..frozen import value_class
 from .arrays import Floats, Integers, frozen_array
+
+Booleans = NDArray[np.bool_]
 
 
 @value_class
@@ -55,3 +61,9 @@ class Poses:
 
     def __len__(self) -> int:
         return len(self.name)
+
+    def where(self, kept: Booleans) -> "Poses":
+        """Return some of the poses."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        chosen = {name: value[kept] for name, value in values.items() if isinstance(value, np.ndarray)}
+        return replace(self, name=tuple(compress(self.name, kept)), **chosen)

@@ -36,6 +36,9 @@ _MULTIPLIER = 10.0
 _SHORTEST_S = 0.5
 _PARTS_OF_PIECE = 4  # windows in the shortest file of a pose
 _FEWEST_SAMPLES = 8
+_DIGITS = 6
+"""Means of no more digits than this may be alike by chance."""
+_OF_EACH_POSE = ("start_s", "stop_s", "variance", "gyroscope_variance")
 _OTHER_ATTITUDE = 0.05  # of the range of all means
 
 
@@ -73,11 +76,11 @@ def prepare_poses(recording: Recording, options: ImuOptions, checked: PreparedIm
         If the recording holds nothing that can be used; DetectionError if it never rests, or in one attitude only.
     """
     if recording.poses is not None:
-        prepared = _from_table(recording.poses)
+        prepared = _without_copies(_from_table(recording.poses))
     elif not recording.imus:
         raise RecordingError("the recording holds no IMU. Give a file with accelerometer samples.")
     elif recording.pieces:
-        prepared = _from_pieces(next(iter(recording.imus.values())), recording.pieces, options)
+        prepared = _without_copies(_from_pieces(next(iter(recording.imus.values())), recording.pieces, options))
     else:
         prepared = _from_rests(recording, options, checked)
     said = (
@@ -86,6 +89,24 @@ def prepare_poses(recording: Recording, options: ImuOptions, checked: PreparedIm
         else tuple(map(assumption_finding, recording.assumptions))
     )
     return replace(prepared, findings=(*prepared.findings, *said))
+
+
+def _without_copies(prepared: PreparedPoses) -> PreparedPoses:
+    """Leave out poses whose means are those of an earlier one to the last digit: a file or a row that is there twice.
+
+    Means of few digits are alike by chance.
+    """
+    poses = prepared.poses
+    means = poses.accelerometer if poses.gyroscope is None else np.hstack([poses.accelerometer, poses.gyroscope])
+    coarse = np.round(means, _DIGITS - 1 - int(np.floor(np.log10(np.abs(means).max(initial=1e-300)))))
+    _, first, which = np.unique(means, axis=0, return_index=True, return_inverse=True)
+    original = first[which.ravel()]
+    copies = original != np.arange(len(poses))
+    if not copies.any() or np.array_equal(coarse, means):
+        return prepared
+    left_out = [(poses.name[k], f"the same numbers as {poses.name[original[k]]}") for k in np.flatnonzero(copies)]
+    arrays = {name: getattr(prepared, name)[~copies] for name in _OF_EACH_POSE}
+    return replace(prepared, poses=poses.where(~copies), left_out=(*prepared.left_out, *left_out), **arrays)
 
 
 def _without_gaps(samples: TriadSamples) -> TriadSamples:
