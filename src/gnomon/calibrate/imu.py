@@ -162,8 +162,8 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
     )
     reference = None
     if prepared.degc is not None:
-        reference = float(interval_means(prepared.degc[:, None], chosen.intervals).mean())
-        at_rest = replace(at_rest, degc=prepared.degc - reference)
+        reference = float(interval_means(prepared.degc, chosen.intervals)[:, 0].mean())
+        at_rest = replace(at_rest, degc=prepared.degc - [reference, 0.0])
     course, functions = accelerometer_course(at_rest)
     touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
@@ -287,7 +287,8 @@ def _problem(
         )
     gyroscope = weighted_stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
     if accelerometer.degc is not None:
-        gyroscope = replace(gyroscope, degc=np.interp(t_gyro, t_s, accelerometer.degc))
+        near = np.clip(np.searchsorted(t_s, t_gyro), 0, len(t_s) - 1)
+        gyroscope = replace(gyroscope, degc=accelerometer.degc[near])
     # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
     cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
     unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2

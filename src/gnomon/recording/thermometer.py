@@ -42,6 +42,12 @@ class TemperatureCourse:
         """Return the temperature (k,) at timestamps (k,) [degC]; the first and the last hold outside."""
         return np.interp((t_ns - self.origin_ns) * 1e-9, self.t_s, self.degc)
 
+    def with_rate(self, t_ns: Integers) -> Floats:
+        """Return the temperature [degC] at timestamps (k,), and how fast it rises [K/s], (k, 2)."""
+        slopes = np.gradient(self.degc, self.t_s)
+        rate = np.interp((t_ns - self.origin_ns) * 1e-9, self.t_s, slopes)
+        return np.column_stack([self.at(t_ns), rate])
+
 
 def temperature_course(samples: TemperatureSamples, lag_s: float = 0.0) -> TemperatureCourse | None:
     """Return the course of the temperature; None for counts, and for fewer than two readings that are numbers.

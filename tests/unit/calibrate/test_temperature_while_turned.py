@@ -66,6 +66,16 @@ def test_the_file_keeps_them(both_ways, tmp_path):
     assert read.in_frame("accel-z").imus["imu0"].temperature is not None
 
 
+def test_a_lagging_thermometer_leaves_the_slopes_right():
+    """It reads x with lag x' = T - x: the slopes are those by T, and the lag is found beside them."""
+    made = simulate_temperature(replace(SCENARIO, lag_s=20.0), 7304)
+    calibration = gnomon.calibrate_imu(made.recordings[0]).calibration
+    for part, slopes in slopes_of(calibration).items():
+        sigma = calibration.sigma(f"imu0.temperature.{part}")
+        assert np.abs((slopes - getattr(made.truth, part)) / sigma).max() < 4
+    assert calibration.imus["imu0"].temperature.lag_s == pytest.approx(20.0, abs=4.0)
+
+
 @pytest.mark.parametrize("course", ["line", "decay", "walk"])
 def test_a_drift_with_time_is_no_slope(course):
     imu = simulate_temperature(replace(SCENARIO, order=0), 7301).recordings[0].imus["imu0"]

@@ -186,7 +186,8 @@ class PreparedImu:
     accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
     findings : what the data doctor noticed
     rests : where it rested, as the data doctor found it; None where it is shorter than two windows
-    degc : (n,) temperature at the accelerometer's samples [degC]; None where it did not both rise and fall
+    degc : (n, 2) temperature at the accelerometer's samples [degC] and its rate [K/s]; None where it did not both rise
+        and fall
     """
 
     accelerometer: TriadSamples
@@ -345,7 +346,7 @@ def _on_time_base(
         gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
-        degc=None if course is None else course.at(accelerometer.t_ns),
+        degc=None if course is None else course.with_rate(accelerometer.t_ns),
     )
 
 

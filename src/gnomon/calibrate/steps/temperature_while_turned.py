@@ -14,12 +14,15 @@ from ...estimate.multiposition.bias_segments import temperature_columns
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...frozen import value_class
-from ...recording import Floats, Recording, TemperatureSamples
+from ...recording import Floats, Integers, Recording, TemperatureSamples
 from ...recording.thermometer import TemperatureCourse, known_readings, temperature_course
 from ...results.sensors import TemperatureDependence
 
 _BOTH_WAYS_K, _BOTH_WAYS_STEPS, _BOTH_WAYS_SHARE = 4.0, 4.0, 0.3
 """How far the temperature has to rise, and to fall: in kelvins, steps of the thermometer, and of its range."""
+
+_SIGMAS = 4.0
+"""From which on a lag is no chance."""
 
 
 @value_class
@@ -71,7 +74,7 @@ def temperature_slopes(
     columns = temperature_columns(fit.data)
     if reference_degc is None or fit.data.degc is None or not columns:
         return None
-    low, high = (reference_degc + float(pick(fit.data.degc[0])) for pick in (np.min, np.max))
+    low, high = (reference_degc + float(pick(fit.data.degc[0][:, 0])) for pick in (np.min, np.max))
     values: dict[str, Floats] = {}
     rows = list[Floats]()
     for triad in ("accelerometer", "gyroscope"):  # as the covariance lists them
@@ -80,5 +83,18 @@ def temperature_slopes(
             values[f"{triad}_bias"] = (spread * fit.state.theta[columns[triad]])[None]
             rows.append(np.zeros((3, len(fit.free))))
             rows[-1][np.arange(3), columns[triad]] = spread
-    known = TemperatureDependence(reference_degc=reference_degc, low_degc=low, high_degc=high)
+    known = TemperatureDependence(
+        reference_degc=reference_degc, low_degc=low, high_degc=high, lag_s=_lag(fit, list(columns.values()))
+    )
     return TemperatureSlopes(found=replace(known, **values), jacobian=np.concatenate(rows))
+
+
+def _lag(fit: MultiPositionFit, columns: Sequence[Integers]) -> float:
+    """Return the lag of the thermometer [s], the rate's coefficients over the temperature's; 0 where it is chance."""
+    at = np.concatenate(list(columns))
+    place = np.cumsum(fit.free) - 1
+    slopes, rates = fit.state.theta[at], fit.state.theta[at + 3]
+    variance = np.diag(fit.arrow.corner_covariance)[place[at + 3]]
+    information = float(np.sum(slopes**2 / variance))
+    lag = float(np.sum(slopes * rates / variance)) / max(information, 1e-300)
+    return lag if lag > _SIGMAS / np.sqrt(max(information, 1e-300)) else 0.0

@@ -71,7 +71,8 @@ class RestMeans:
     rest : (m,) number of the static interval that each is of, ascending
     t_s, half_s : (m,) middle and half of the length [s]
     means, variance : (m, 3) and the variance that white noise gives them
-    degc : (m,) temperature above a reference [K]; None where nothing tells its effect from that of the time
+    degc : (m, 2) temperature above a reference [K] and its rate [K/s], which takes up what a thermometer's lag leaves;
+        None where nothing tells its effect from that of the time
     """
 
     rest: Integers
@@ -101,7 +102,7 @@ def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats, degc: F
     if changes.warm_up_s:
         steps.append(_decay(t_s, half_s, changes.warm_up_s))
     if changes.temperature and degc is not None:
-        steps.append(degc)
+        steps.extend(degc.T)
     return np.stack(steps, axis=1) if steps else np.empty((n, 0))
 
 
@@ -152,6 +153,8 @@ def gyroscope_changes(rests: RestMeans, u: Floats) -> BiasChanges:
     if n < _FEWEST:
         return BiasChanges()
     design = np.column_stack([np.ones(m), u[rests.rest]]) if n > _FEWEST + 4 else np.ones((m, 1))
+    if rests.degc is not None:
+        design = np.column_stack([design, rests.degc[:, 1]])
     series = _Series(y=rests.means, design=design, variance=rests.variance, pull=np.ones((m, 1)))
     return _search(rests, lambda _: series, shortest=2)
 
@@ -174,6 +177,8 @@ def accelerometer_changes(rests: RestMeans) -> BiasChanges:
         length = np.linalg.norm(force, axis=1)
         u = force / length[:, None]
         rows = (u[:, :, None] * u[:, None, :]).reshape(n, 9)[:, [0, 3, 4, 6, 7, 8]]
+        if rests.degc is not None:
+            rows = np.concatenate([rows, rests.degc[:, 1:] * u], axis=1)
         total = np.einsum("ni,ni->n", u, moved)  # what was taken off goes to the columns of the steps again
         return _Series(
             y=(length - 1 + total)[:, None],
@@ -245,7 +250,7 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
     steps = shares_before(at.astype(np.float64), n)
     tau = np.array(DECAYS) * span
     decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
-    warmth = np.empty((n, 0)) if rests.degc is None else rests.degc[:, None]
+    warmth = np.empty((n, 0)) if rests.degc is None else rests.degc[:, :1]
     parts = {"step": steps, "warm-up": decays, "temperature": warmth, "single": np.eye(n)}
     counts = [part.shape[1] for part in parts.values()]
     return _Candidates(

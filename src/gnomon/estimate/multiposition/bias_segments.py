@@ -16,8 +16,8 @@ from .model import PARAMETERS, BiasFunctions, MultiPositionData
 
 _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
-_WEAK_K = 10.0
-"""Change of the temperature that is as weakly known to move a bias [K]."""
+_WEAK_K, _WEAK_LAG_S = 10.0, 100.0
+"""Change of the temperature that is as weakly known to move a bias [K], and lag of the thermometer [s]."""
 
 
 def with_bias_steps(
@@ -103,20 +103,24 @@ def decay_functions(data: MultiPositionData, time_constant_s: float, triad: str)
 
 
 def with_temperature(data: MultiPositionData, *, gyroscope: bool, accelerometer: bool) -> MultiPositionData:
-    """Return the data with biases that are linear in the temperature, which the data tell at rest and in motion."""
+    """Return the data with biases that are linear in the temperature T, which the data tell at rest and in motion.
+
+    A thermometer that reads x and follows with a lag has T = x + lag x': the rate x' takes up what the lag leaves.
+    """
     if data.degc is None:
         return data
-    at_rest, in_motion = (part[:, None] for part in data.degc)
+    at_rest, in_motion = data.degc
     for triad, follows in (("gyroscope", gyroscope), ("accelerometer", accelerometer)):
         if follows:
-            sigma = np.full((1, 3), _WEAK[triad] / _WEAK_K)
-            function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=("temperature",), sigma=sigma)
+            sigma = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [_WEAK_LAG_S] * 3])
+            kind = ("temperature", "warming")
+            function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=kind, sigma=sigma)
             data = replace(data, **{f"{triad}_functions": getattr(data, f"of_{triad}").beside(function)})
     return data
 
 
 def temperature_columns(data: MultiPositionData) -> dict[str, Integers]:
-    """Return where the three coefficients of the temperature stand in the parameters, of the triads that have them."""
+    """Return where the coefficients of the temperature stand, those of its rate behind, of triads that have them."""
     found: dict[str, Integers] = {}
     first = PARAMETERS
     for triad, functions in (("gyroscope", data.of_gyroscope), ("accelerometer", data.of_accelerometer)):

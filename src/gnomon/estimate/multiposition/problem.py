@@ -29,7 +29,8 @@ class TriadStream:
     density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
     rounding : (k, 3) variance of each mean at rest that the converter's steps make, however long it rests [unit^2]
     intervals : its samples at rest
-    degc : (n,) temperature above a reference [K]; None where nothing tells its effect from that of the time
+    degc : (n, 2) temperature above a reference [K] and its rate [K/s]; None where nothing tells its effect from that of
+        the time
     """
 
     t_s: Floats
@@ -44,8 +45,8 @@ class TriadStream:
 
     @property
     def degc_at_rest(self) -> Floats | None:
-        """Mean temperature above the reference in each static interval, (n,) [K]."""
-        return None if self.degc is None else interval_means(self.degc[:, None], self.intervals)[:, 0]
+        """Their means in each static interval, (n, 2)."""
+        return None if self.degc is None else interval_means(self.degc, self.intervals)
 
 
 @value_class
@@ -131,7 +132,7 @@ def build_problem(
         if accelerometer.degc is None or accelerometer.degc_at_rest is None
         else (
             accelerometer.degc_at_rest,
-            np.interp(0.5 * (start_s + stop_s), accelerometer.t_s, accelerometer.degc),
+            accelerometer.degc[np.searchsorted(accelerometer.t_s, 0.5 * (start_s + stop_s))],
         ),
         span_s=(float(accelerometer.t_s[still.start[0]]), float(accelerometer.t_s[still.stop[-1] - 1])),
         earth_rate_variance=earth_rate_variance,
@@ -164,7 +165,7 @@ def rest_means(stream: TriadStream, scaling: Scaling | None = None, alike: int =
         half_s=0.5 * (stop - start),
         means=scaling.scaled(interval_means(stream.values, parts)),
         variance=_variance_of_means(stream, scaling, alike)[rest] * np.bincount(rest)[rest, None],
-        degc=None if stream.degc is None else interval_means(stream.degc[:, None], parts)[:, 0],
+        degc=None if stream.degc is None else interval_means(stream.degc, parts),
     )
 
 
