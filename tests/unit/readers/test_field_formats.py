@@ -363,3 +363,12 @@ def test_a_workbook_and_a_blackbox_are_told(tmp_path) -> None:
         read(tmp_path / "log.xlsx")
     with pytest.raises(RecordingError, match="blackbox_decode"):
         read(tmp_path / "flight.bbl")
+
+
+def test_letters_in_a_column_are_no_sensors(tmp_path) -> None:
+    mode = "AG"
+    path = lines(
+        tmp_path / "log.csv", lambda i: f"{mode[i % 2]},{numbers(T[i], F[i], W[i])}", "mode,t,ax,ay,az,gx,gy,gz"
+    )
+    _check(read(path))
+    _check(read(path, columns="_ t ax ay az gx gy gz"))

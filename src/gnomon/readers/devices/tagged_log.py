@@ -83,7 +83,7 @@ def _tags(lines: list[str]) -> _Tags | None:
         words: dict[str, str] = {}
         for word in told:
             quantity = column_name(f"{word} x").quantity
-            if quantity in _TRIADS and (quantity not in words or word.lower().startswith("uncal")):
+            if len(word) > 1 and quantity in _TRIADS and (quantity not in words or word.lower().startswith("uncal")):
                 words[quantity] = word
         if words.keys() >= _INERTIAL:
             return _Tags(delimiter=delimiter, column=column, words=words)
