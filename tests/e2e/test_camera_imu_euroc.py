@@ -247,3 +247,17 @@ def test_halves_of_euroc(euroc_recording, options):
     print(f"  rms of the blocks' z {total:.1f}")
     assert total < 15
     assert max(z.values()) < 30
+
+
+@pytest.mark.slow
+def test_halves_of_euroc_verify_each_other(euroc_recording):
+    recording, target = euroc_recording
+    first, second = (
+        calibrate_camera_imu(part(recording, *span), target).calibration for span in ((0.0, 24.0), (24.0, 48.2))
+    )
+    for known, fresh in ((first, second), (second, first)):
+        # Of the same files, which is refused else.
+        fresh = replace(fresh, provenance=replace(fresh.provenance, inputs=()))
+        found = gnomon.verify(known, fresh)
+        print(f"\n{found.headline}", [(block.path, round(block.z, 1), block.state) for block in found.blocks])
+        assert found.state == "holds"
