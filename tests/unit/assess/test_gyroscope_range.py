@@ -30,3 +30,11 @@ def test_named_and_failed(factor: float, share: float) -> None:
 def test_no_change_of_range(factor: float) -> None:
     findings = gnomon.calibrate_imu(changed_rates(13, factor, 0.6)).calibration.assessment.findings
     assert "gyroscope-range-changed" not in {one.code for one in findings}
+
+
+@pytest.mark.parametrize("seed", [34067, 34074])
+def test_a_dozen_rests_are_no_change_of_range(seed: int) -> None:
+    short = gnomon.Scenario(
+        g_sensitivity=3e-4, sensor_seed=seed, intervals=12, t_init_s=6.0, hold_s=(1.9, 2.1), motion_s=(0.8, 1.2)
+    )
+    assert gnomon.calibrate_imu(gnomon.simulate(short, seed + 5000)[0]).calibration.verdict != "fail"

@@ -9,6 +9,7 @@ from ...findings import Finding, make_finding
 from ...results.intervals import StaticIntervals
 
 _MOSTLY = 0.9  # of the rotations must show some of the turn, whatever the scale
+_FACTOR = 1.6  # ranges differ by two; what a rotation shows is a fifth off, so that few of them differ by 1.3 by chance
 
 
 def gyroscope_range_findings(problem: MultiPositionProblem) -> list[Finding]:
@@ -20,7 +21,7 @@ def gyroscope_range_findings(problem: MultiPositionProblem) -> list[Finding]:
         return []
     rotations = StaticIntervals(start=shown, stop=shown + 1)
     change = find_range_change(factors[shown], rotations, len(factors))
-    if change is None:
+    if change is None or max(change.factor, 1 / change.factor) < _FACTOR:
         return []
     return [
         make_finding(
