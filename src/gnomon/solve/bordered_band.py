@@ -35,7 +35,7 @@ from ..frozen import value_class
 Floats = NDArray[np.float64]
 
 
-_LOWER, _CHAIN = "lower", "chain"
+_LOWER, _CHAIN, _TAIL = "lower", "chain", "tail"
 _OF_A_FACTOR = {_LOWER, _CHAIN}
 
 
@@ -48,16 +48,29 @@ class Workspace:
 
     def __init__(self) -> None:
         self._arrays: dict[str, Floats] = {}
+        self._wide: WideBorder | None = None
+
+    def take(self, wide: "WideBorder | None") -> None:
+        """Take the wide border of the next equations; that of the last ones is released."""
+        if self._wide is not None and self._wide is not wide:
+            self._wide.release()
+        self._wide = wide
 
     def zeros(self, name: str, shape: tuple[int, ...]) -> Floats:
         """Return an array of zeros under a name; what was there before is overwritten."""
         size = prod(shape)
         flat = self._arrays.get(name)
         if flat is None or len(flat) < size:
+            flat = None  # before the larger one is made
+            self._arrays.pop(name, None)
             flat = self._arrays[name] = np.zeros(size)
         else:
             flat[:size] = 0.0
         return flat[:size].reshape(shape)
+
+    def behind_a_factor(self, shape: tuple[int, ...]) -> Floats:
+        """Return an array in memory of the equations, of which the factor alone is needed on."""
+        return self.zeros(_TAIL, shape)
 
     def beside_a_factor(self) -> "Workspace":
         """Return a workspace for other equations in the memory of these, of which the factor alone is needed on."""
@@ -72,6 +85,10 @@ class WideBorder(Protocol):
     @property
     def size(self) -> int:
         """Number of parameters."""
+        ...
+
+    def release(self) -> None:
+        """Let go of the blocks: equations with them are no longer needed."""
         ...
 
     def times(self, parameters: Floats) -> Floats:
@@ -116,6 +133,7 @@ class BorderedBand:
     ) -> None:
         self.wide = wide
         self.workspace = workspace or Workspace()
+        self.workspace.take(wide)
         self.groups = groups
         self.order = order
         self.parameters = parameters
@@ -123,7 +141,7 @@ class BorderedBand:
             [self.workspace.zeros(f"band {g} {h}", (controls, a, order, b)) for h, b in enumerate(groups)]
             for g, a in enumerate(groups)
         ]
-        self.tail = self.workspace.zeros("tail", (controls, sum(groups), parameters + sides))
+        self.tail = self.workspace.zeros(_TAIL, (controls, sum(groups), parameters + sides))
         self.border, self.rhs = self.tail[:, :, :parameters], self.tail[:, :, parameters:]
         total = parameters + (wide.size if wide is not None else 0)
         self.corner = np.zeros((total, total))
@@ -225,9 +243,7 @@ class Factor:
         parameters : (p + w,) the border parameters' part of the solution
         """
         blocks, s = self.lower.shape[:2]
-        right = self.eliminated[:, self._side(side)] - np.tensordot(
-            parameters[: self.narrow], self.eliminated[:, self._border], axes=(0, 1)
-        )
+        right = self.eliminated[:, self._side(side)] - parameters[: self.narrow] @ self.eliminated[:, self._border]
         if self.wide is not None and parameters[self.narrow :].any():
             right -= self._forward(self.wide.times(parameters[self.narrow :, None]))[:, 0]
         solution = np.empty((blocks, s))
@@ -238,32 +254,40 @@ class Factor:
             solution[k] = following
         return solution.reshape(-1, self.size)[: self.controls]
 
-    def chain_solutions(self, columns: NDArray[np.intp], wide: Floats | None = None) -> Floats:
+    def chain_solutions(
+        self, columns: NDArray[np.intp], wide: Floats | None = None, out: Floats | None = None
+    ) -> Floats:
         """Return (band alone)^-1 C, (n, d, k), of some columns C of the border and, behind it, the right-hand sides.
 
         Parameters
         ----------
         columns : (k,) which
         wide : (w, k) by which the columns of the wide part are added to them
+        out : (n, d, k) where to write
         """
         blocks, s = self.lower.shape[:2]
-        right = np.ascontiguousarray(self.eliminated[:, s + columns])  # transposed: (b, k, s)
-        if wide is not None and self.wide is not None:
-            right += self._forward(self.wide.times(wide))
+        found = np.empty((self.controls, self.size, len(columns))) if out is None else out
+        beyond = None if wide is None or self.wide is None else self._forward(self.wide.times(wide))
+        flat = found.reshape(-1, len(columns))
         following = np.zeros((len(columns), s))
         for k in range(blocks - 1, -1, -1):
-            right[k] -= following @ self.eliminated[k, :s]
-            dtrsm(1.0, self.lower[k].T, right[k].T, lower=1, trans_a=1, overwrite_b=1)
-            following = right[k]
-        return np.ascontiguousarray(right.transpose(0, 2, 1)).reshape(-1, self.size, len(columns))[: self.controls]
+            right = self.eliminated[k, s + columns]  # transposed: (k, s)
+            right -= following @ self.eliminated[k, :s]
+            if beyond is not None:
+                right += beyond[k]
+            dtrsm(1.0, self.lower[k].T, right.T, lower=1, trans_a=1, overwrite_b=1)
+            flat[k * s : (k + 1) * s] = right.T[: len(flat) - k * s]
+            following = right
+        return found
 
     def _forward(self, right: Floats) -> Floats:
         """Return L^-1 of right-hand sides (n, d, k), block by block and transposed (b, k, s)."""
         (blocks, s), count = self.lower.shape[:2], right.shape[2]
-        solution = np.zeros((blocks * s, count))
-        solution[: right.shape[0] * right.shape[1]] = right.reshape(-1, count)
-        found = np.ascontiguousarray(solution.reshape(blocks, s, count).transpose(0, 2, 1))
+        flat = right.reshape(-1, count)
+        found = np.zeros((blocks, count, s))
         for k in range(blocks):
+            part = flat[k * s : (k + 1) * s].T
+            found[k, :, : part.shape[1]] = part
             if k:
                 found[k] -= found[k - 1] @ self.eliminated[k - 1, :s].T
             dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, overwrite_b=1)

@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from test_bordered_band import SHAPES, equations
 
-from gnomon.solve.bordered_band import BorderedBand
+from gnomon.solve.bordered_band import BorderedBand, Workspace
 
 
 class Stored:
@@ -22,6 +22,9 @@ class Stored:
     @property
     def size(self):
         return self.border.shape[2]
+
+    def release(self):
+        self.border = self.border[:, :, :0]
 
     def times(self, parameters):
         return self.border @ parameters
@@ -100,3 +103,15 @@ def test_what_similar_equations_took_from_the_wide_border_serves():
     exact = found.exact()
     assert not exact.borrowed
     np.testing.assert_allclose(exact.schur, expected.schur, rtol=0, atol=1e-11 * scale)
+
+
+def test_the_blocks_are_released_with_the_next_equations_in_the_same_memory():
+    workspace = Workspace()
+    sizes = {"controls": 4, "order": 2, "groups": (2,), "parameters": 0, "sides": 1, "workspace": workspace}
+    first, second = (Stored(np.ones((4, 2, 3))) for _ in range(2))
+    BorderedBand(**sizes, wide=first)
+    BorderedBand(**{**sizes, "workspace": workspace.beside_a_factor()}, wide=second)
+    assert first.size == 3  # the factor beside is still needed
+    BorderedBand(**sizes, wide=second)
+    assert first.size == 0
+    assert second.size == 3

@@ -196,7 +196,10 @@ def minimise_cost(
             damped=iterations[-1].damping if iterations else 0.0,
         )
         iterations += tried
-        largest, length, step = step.largest, step.length, _step(lin, step.factor)
+        largest, length = step.largest, step.length
+        similar = None if step.factor.taken is None else step.factor
+        del step  # its factor is large, and no longer valid
+        step = _step(lin, similar)
         if step.factor.borrowed and step.largest < _NEAR and step.length > _SLOWLY * length:
             step = _exact(lin, step)
     if not lin.probing:

@@ -91,7 +91,9 @@ def board_follows(solution: Solution) -> Floats:
 def _following(solution: Solution, shifts: Floats) -> Floats:
     """Return how the control points follow the columns of the sums, (n, d, q)."""
     factor, sides, dense = solution.step.factor, bias_sides(solution), solution.layout.dense
-    found = factor.chain_solutions(np.concatenate([np.arange(dense), dense + sides]), shifts if len(shifts) else None)
+    columns = np.concatenate([np.arange(dense), dense + sides])
+    memory = solution.lin.system.workspace.behind_a_factor((factor.controls, factor.size, len(columns)))
+    found = factor.chain_solutions(columns, shifts if len(shifts) else None, memory)
     found[..., :dense] *= -1
     found[..., dense:] = found[..., dense:] @ np.linalg.inv(factor.inner(sides))
     return found

@@ -13,6 +13,7 @@ from ....frozen import value_class
 from ....recording import Floats, Integers
 from ..solution import Solution
 from ..terms.board import BoardPoints
+from ..terms.corner_sums import chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
 
@@ -182,23 +183,30 @@ def counting_corners(solution: Solution) -> list[CountingCorners]:
         places = trajectory.grid.places(exposure_times(data, entry))
         motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
         R, p = board_in_camera(motion, entry)
-        of = exposures.of_corner
         where = exposures.points
         if parameters.board is not None:
             where = where + parameters.board.offsets[exposures.point]
-        image = entry.camera.project(np.einsum("mij,mj->mi", R[of], parameters.target_scale * where) + p[of])
-        assert image.by_point is not None
-        counts = (used & places.inside)[of] & image.valid
-        residual = (image.pixels - exposures.pixels)[counts]
-        distance = np.linalg.norm(residual, axis=1) / sigma_px
-        residual = residual * np.minimum(1.0, solution.noise.huber / np.maximum(distance, 1e-12))[:, None]
+        size, every = len(where), exposures.of_corner
+        counts, residual, on_board = np.zeros(size, dtype=bool), np.empty((size, 2)), np.empty((size, 2))
+        for first, last in chunks(exposures.start):
+            at = slice(int(exposures.start[first]), int(exposures.start[last]))
+            of = every[at]
+            turned = R[of]
+            points = np.einsum("mij,mj->mi", turned, parameters.target_scale * where[at]) + p[of]
+            image = entry.camera.project(points)
+            assert image.by_point is not None
+            counts[at] = (used & places.inside)[of] & image.valid
+            off = image.pixels - exposures.pixels[at]
+            distance = np.linalg.norm(off, axis=1) / sigma_px
+            residual[at] = off * np.minimum(1.0, solution.noise.huber / np.maximum(distance, 1e-12))[:, None]
+            on_board[at] = along_board(image.by_point @ turned[:, :, :2], residual[at])
         found.append(
             CountingCorners(
-                residual=residual,
-                on_board=along_board(image.by_point[counts] @ R[of][counts][:, :, :2], residual),
-                frame=exposures.frame[of][counts],
+                residual=residual[counts],
+                on_board=on_board[counts],
+                frame=exposures.frame[every][counts],
                 point=exposures.point[counts],
-                t_s=data.t_s[of][counts],
+                t_s=data.t_s[every][counts],
                 pixels=exposures.pixels[counts] / entry.camera.resolution,
             )
         )

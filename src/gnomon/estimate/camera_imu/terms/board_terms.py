@@ -203,6 +203,10 @@ class BoardBorder:
         """Number of columns."""
         return _AXES * self._points
 
+    def release(self) -> None:
+        """Let go of what the cameras saw."""
+        self._cameras = []
+
     def fill(self, system: BorderedBand, cameras: Sequence[Coupling]) -> None:
         """Take what the cameras saw, and add what does not concern the trajectory to the normal equations."""
         self._cameras = list(cameras)
