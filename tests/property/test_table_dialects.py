@@ -1,6 +1,7 @@
 """Whatever dialect a table is written in, the numbers come back."""
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,7 +89,8 @@ def test_saved_is_read(tmp_path, accel, gyro, shared, alone, units, suffix) -> N
 
 def test_saving_twice_gives_the_same_bytes(tmp_path) -> None:
     samples = TriadSamples(t_ns=np.arange(50) * 10**7, values=np.random.default_rng(0).normal(size=(50, 3)), unit="g")
-    recording = Recording(imus={"imu0": ImuSamples(accelerometer=samples, gyroscope=samples)})
+    imu = ImuSamples(accelerometer=samples, gyroscope=replace(samples, unit="deg/s"))
+    recording = Recording(imus={"imu0": imu})
     for name in ("rec.csv", "rec.csv.gz", "rec.npz"):
         (first,) = save_recording(recording, tmp_path / name)
         whole = first.read_bytes()
@@ -99,7 +101,7 @@ def test_saving_twice_gives_the_same_bytes(tmp_path) -> None:
 
 def test_saving_names_its_limits(tmp_path) -> None:
     samples = TriadSamples(t_ns=np.arange(5), values=np.zeros((5, 3)), unit="g")
-    imu = ImuSamples(accelerometer=samples, gyroscope=samples)
+    imu = ImuSamples(accelerometer=samples, gyroscope=replace(samples, unit="deg/s"))
     with pytest.raises(gnomon.OptionError, match="Choose one of these suffixes"):
         save_recording(Recording(imus={"imu0": imu}), tmp_path / "rec.xlsx")
     with pytest.raises(gnomon.OptionError, match="CSV holds one IMU"):

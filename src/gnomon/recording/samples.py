@@ -120,7 +120,7 @@ class TemperatureSamples:
 _UNITS = {
     "accelerometer": ACCELEROMETER_UNITS_M_S2,
     "gyroscope": GYROSCOPE_UNITS_RAD_S,
-    "magnetometer": MAGNETOMETER_UNITS_UT,
+    "magnetometer": (*MAGNETOMETER_UNITS_UT, "local field"),  # what is calibrated without its strength has that
 }
 
 

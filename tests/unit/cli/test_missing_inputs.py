@@ -27,7 +27,7 @@ def test_all_missing_files_are_named_at_once(rig, capsys):
     assert "--target is missing" in words
     assert "gnomon target" in words
     assert "--cam is missing" in words
-    assert f"gnomon camera {rig} --target target.yaml makes one" in words
+    assert f"gnomon camera {rig} --target target.yaml --resolution WIDTH HEIGHT makes one" in words
 
 
 def test_what_is_there_is_not_asked_for(rig, capsys):
@@ -35,7 +35,7 @@ def test_what_is_there_is_not_asked_for(rig, capsys):
     assert main(["camera-imu", str(rig)]) == 2
     words = said(capsys)
     assert "--cam is missing" in words
-    assert f"--target {rig / 'target.yaml'} makes one" in words
+    assert f"--target {rig / 'target.yaml'} --resolution WIDTH HEIGHT makes one" in words
     assert "--target is missing" not in words
 
 
