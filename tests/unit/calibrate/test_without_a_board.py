@@ -125,6 +125,12 @@ def test_a_camera_whose_pose_nothing_states_is_left_out(monkeypatch):
     assert note.startswith("the images of cam1 were left out")
 
 
+@pytest.mark.parametrize(("low", "blurred"), [(47, False), (20, True)])
+def test_landmarks_that_come_and_go_are_those_of_blurred_images(low, blurred):
+    frame = np.concatenate([np.full(50 if k % 2 else low, k) for k in range(3, 40)])  # none in the first images
+    assert (landmark_map.coming_and_going(SimpleNamespace(frame=frame)) > landmark_map._COMING) == blurred
+
+
 def test_images_of_another_size_are_refused():
     simulation = simulate_camera_imu(SMALL.rig(), 5)
     images = room_images(SMALL, simulation)

@@ -43,6 +43,7 @@ _FAINT, _PRUNED = 3.0, 3  # of a point whose sightings scatter; rounds
 _SEEN_TIMES = 22.0  # landmarks that are followed through a key frame; found again there are some times as many
 _MOST_LANDMARKS = 300
 _ALIKE = 0.8  # correlation of landmarks in a scene that repeats itself; elsewhere 0.4 to 0.7
+_COMING = 0.2  # share of the landmarks that come or go where images are blurred: 0.4; elsewhere 0.02 to 0.05
 _REACH_PX, _NEAR_PX = 18.0, 6.0
 
 
@@ -162,9 +163,20 @@ def map_landmarks(
             time_shift_cam_imu_s=entry.time_shift_cam_imu_s,
             lens_covariance=entry.lens_covariance,
         )
-    likeness = landmarks.likeness()
-    repeats = (make_finding("scene-repeats", name=name, likeness=likeness),) if likeness > _ALIKE else ()
-    return frames, Target.landmarks(landmarks.points), repeats
+    found = [
+        make_finding("scene-blurred", name=camera, share=share)
+        for camera, seen in frames.items()
+        if (share := coming_and_going(seen)) > _COMING
+    ]
+    if (likeness := landmarks.likeness()) > _ALIKE:
+        found.append(make_finding("scene-repeats", name=name, likeness=likeness))
+    return frames, Target.landmarks(landmarks.points), tuple(found)
+
+
+def coming_and_going(frames: CameraFrames) -> float:
+    """Return by what share of them the number of landmarks changes from one image to the next."""
+    count = np.bincount(frames.frame)[frames.frame.min() :]
+    return float(np.abs(np.diff(count)).sum() / count.sum())
 
 
 def relative_pose(first: CameraInput, other: CameraInput) -> tuple[Floats, float] | None:
