@@ -52,6 +52,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
             *("uncertainty-gyroscope", "parts-disagree", "model-incomplete"),
         }
     ),
+    "rotation-breaks": _BENT | {"not-observable", "parameter-changed", "frames-late", "board-moved", "distortion"},
     "axes-differ": _BENT | {"triads-apart"},
     "axes-mirrored": _BENT | {"triads-apart"},
     "samples-repeated": frozenset({"noise-differs", "jitter"}),

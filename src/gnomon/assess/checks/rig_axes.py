@@ -32,6 +32,7 @@ _FEWEST, _FEWEST_TURNS = 60, 25
 _ROUNDS, _ROBUST = 3, 3.5
 _SEARCH_S, _TRIALS = 0.04, 17
 _WINDOW = 21
+_WHOLLY, _HELD, _MOSTLY, _FEWEST_SECONDS = 0.97, 0.2, 0.9, 3
 
 
 @value_class
@@ -80,6 +81,31 @@ def turns_between_frames(poses: BoardPoses, integral: GyroscopeIntegral, time_sh
     between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)
     seen = rotvec_from_rotation(between) / length
     return FrameTurns(start_s=start, stop_s=stop, seen=seen, read=(integral(stop) - integral(start)) / length)
+
+
+def rotation_break(turns: FrameTurns) -> float | None:
+    """Return the instant [s] up to which, or from which on, the gyroscope reads what the camera saw, and else does not.
+
+    The map from one to the other is that of the first or of the last third, where it explains that third nearly wholly.
+    """
+    third = len(turns.seen) // 3
+    if third < _FEWEST_TURNS:
+        return None
+    design = np.column_stack([turns.seen, np.ones(len(turns.seen))])
+    second = (turns.start_s - turns.start_s[0]).astype(np.int64)
+    start = np.flatnonzero(np.diff(second, prepend=-1))
+    power = np.add.reduceat((turns.read**2).sum(axis=1), start)
+    for known in (slice(third), slice(-third, None)):
+        fit = _robust(design[known], turns.read[known])
+        if fit.explained < _WHOLLY:
+            continue
+        left = np.add.reduceat(((turns.read - design @ fit.solution) ** 2).sum(axis=1), start)
+        ahead = slice(None, None, 1 if known.start is None else -1)
+        held = (left < _HELD * power)[ahead]
+        k = int(np.argmax(np.cumsum(held - 0.5))) + 1
+        if held[:k].mean() > _MOSTLY and len(held) - k >= _FEWEST_SECONDS and held[k:].mean() < 1 - _MOSTLY / 2:
+            return float(turns.start_s[start[ahead][k]])
+    return None
 
 
 def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:

@@ -35,11 +35,12 @@ from .rig_axes import (
     accelerometer_axes,
     frame_times,
     gyroscope_axes,
+    rotation_break,
     turns_between_frames,
 )
 from .rig_lens import check_lens
 
-_EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
+_WHOLE, _EXPLAINED, _GYRO_EXPLAINED = 0.95, 0.9, 0.8
 _MIRRORED = 2.0  # times as much as a mirror leaves, what a rotation leaves
 _NEAR = 0.3  # of an entry of the relative axes from -1, 0 or 1
 _DELAY_S, _SIGMAS = 0.5e-3, 5.0
@@ -71,7 +72,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
 _OF_AN_IMU = frozenset(
     {
         *("not-aligned", "axes-differ", "axes-mirrored", "triads-apart", "clock-jump", "clock", "clock-drift"),
-        *("time-shift", "gyroscope-range-changed"),
+        *("time-shift", "gyroscope-range-changed", "rotation-breaks"),
     }
 )
 """Findings on a camera beside an IMU that tell something of the IMU."""
@@ -147,8 +148,8 @@ def check_look(
 ) -> tuple[list[Finding], BoardTurns | None]:
     """Return findings on one camera beside the IMU, and by how much it saw the board turn, where that can be told.
 
-    Codes: axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump, frames-late, triads-apart,
-    time-shift, motion-slow.
+    Codes: rotation-breaks, axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump,
+    frames-late, triads-apart, time-shift, motion-slow.
 
     Parameters
     ----------
@@ -166,6 +167,11 @@ def check_look(
     gyroscope = gyroscope_axes(poses, stream, shift)
     if gyroscope is None:
         return findings, None
+    if gyroscope.explained < _WHOLE:
+        turns = turns_between_frames(poses, gyroscope_integral(stream.t_s, stream.rate), shift)
+        if (at_s := rotation_break(turns)) is not None:
+            after_s = at_s - shift - float(poses.t_s[0])
+            return [make_finding("rotation-breaks", name=name, imu=imu, after_s=after_s), *findings], None
     findings += _slow(name, alignment)
     accelerometer = accelerometer_axes(poses, stream, shift)
     findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
