@@ -12,7 +12,7 @@ import numpy as np
 from ..assess.cameras.camera_views import FEWEST_CORNERS
 from ..assess.cameras.cameras_verdict import unseen_corners
 from ..assess.checks.image_checks import BLURRED_PX, BRIGHT, DARK, ImageStatistics
-from ..detect.boards.board import BoardView
+from ..detect.boards.board import NOT_WITH_NEIGHBOURS, BoardView
 from ..estimate.camera_imu.start.board_poses import gather_exposures, homography_poses
 from ..frozen import value_class
 from ..models.camera import Camera
@@ -141,7 +141,8 @@ class BoardCoach:
         t_ns : when it was taken [ns]
         seconds, rate_hz : of the recording by now
         """
-        seen, self._seconds = len(view) >= FEWEST_CORNERS, seconds
+        odd = 2 * view.dropped.get(NOT_WITH_NEIGHBOURS, 0) > len(view)  # of a board with other rows or columns
+        seen, self._seconds = len(view) >= FEWEST_CORNERS and not odd, seconds
         if seen:
             self._lost, self._unlike = 0, ""
             self.keep_view(t_ns, view, statistics.size)

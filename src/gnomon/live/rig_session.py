@@ -29,6 +29,7 @@ _CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _UNTILTED_S = 45.0  # from when on a calibration is tried of a rig that is not turned by 90 degrees
 _TILTED_RAD, _UNLIKE_RAD = np.radians(70.0), 0.1
+_MEAN_NS = 10**9  # over which a motion to and fro leaves gravity
 
 
 class MotionCoach(Coach):
@@ -37,7 +38,7 @@ class MotionCoach(Coach):
     Attributes
     ----------
     turned_s, shaken_s : (3,) faster than 0.3 rad/s, and by more than 1 m/s^2 [s]
-    up : (k, 3) directions in the IMU that pointed up, each unlike the others
+    up : (k, 3) directions in the IMU that pointed up, means of a second each, each unlike the others
     """
 
     remembered = 20_000
@@ -54,8 +55,9 @@ class MotionCoach(Coach):
         """Count what came since the last look."""
         imu = self.samples
         unit, force_unit = rate_unit_of(imu), ACCELEROMETER_UNITS_M_S2[imu.accelerometer.unit]
-        up = self.state.up
-        if up is not None and (self.up @ up < np.cos(_UNLIKE_RAD)).all():
+        last = imu.accelerometer.values[imu.accelerometer.t_ns > imu.accelerometer.t_ns[-1] - _MEAN_NS].mean(axis=0)
+        up = last / (np.linalg.norm(last) or 1.0)
+        if (self.up @ up < np.cos(_UNLIKE_RAD)).all():
             self.up = np.vstack([self.up, up])
         since_ns, self._counted_ns = self._counted_ns, int(imu.accelerometer.t_ns[-1])
         for samples, factor, limit, counted in (
@@ -140,7 +142,7 @@ class RigCoach(BoardCoach):
         found = {
             **{f"turned about {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.turned_s, strict=True)},
             **{f"shaken along {axis}": s / _MOVED_S for axis, s in zip("xyz", self._motion.shaken_s, strict=True)},
-            "attitudes": self._motion.tilted_rad / _TILTED_RAD,
+            "quarter turn": self._motion.tilted_rad / _TILTED_RAD,
             "length": self._seconds / _SHORTEST_S,
         }
         return found | {f"precision: {name}": 1 / ratio for name, ratio in self._foreseen}
@@ -152,7 +154,7 @@ class RigCoach(BoardCoach):
             missing = [name[-1] for name, share in needs.items() if name.startswith(what) and share < 1]
             if missing:
                 return {"phase": f"{phase} {missing[0]}", "advice": say.format(axis=missing[0])}
-        if needs["attitudes"] < 1:
+        if needs["quarter turn"] < 1:
             return {"phase": "roll", "advice": _ROLL}
         if needs["length"] < 1:
             left = _SHORTEST_S - self._seconds

@@ -6,7 +6,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from gnomon.detect.boards.board import BoardView, nothing_seen
+from gnomon.detect.boards.board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.live.board_coach import BoardCoach
@@ -107,6 +107,15 @@ def test_another_board_is_named_once_it_was_not_found_for_long(shown):
     assert np.count_nonzero(asked) == 1
     coach.take_guess("They show a checkerboard.")
     assert "They show a checkerboard." in look(coach, 13, nothing_seen()).faults[-1].text
+
+
+def test_a_board_with_other_rows_or_columns_is_not_taken_for_the_stated_one(shown):
+    view = next(views_of(shown))
+    odd = replace(view, dropped={NOT_WITH_NEIGHBOURS: len(view)})
+    coach = BoardCoach(shown.target)
+    assert [look(coach, k, odd).phase for k in range(6)][-1] == "searching"
+    assert coach.wants_guess
+    assert look(BoardCoach(shown.target), 0, replace(view, dropped={NOT_WITH_NEIGHBOURS: 4})).views == 1
 
 
 def test_nothing_is_wrong_with_what_is_right(shown):
