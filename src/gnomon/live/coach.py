@@ -35,6 +35,8 @@ _FEWEST_RESTS = 12
 _LEVELS, _FAR = 600, 1e9
 _IDLE = 6.0  # times as long as a look at all rests took, until the next one
 _MORE = 1.2  # times as many rests before a calibration is tried again
+_PAST = frozenset({"gaps", "samples-lost"})
+"""Findings that no more rests mend."""
 _SIDES = {  # of a box whose z axis points out of its face, x to its front and y to its left
     (0, 0, 1): "flat, face up",
     (0, 0, -1): "flat, face down",
@@ -130,7 +132,6 @@ class Coach:
         self._rate_unit: float | None = None
         self._factors: dict[str, float] = {}
         self._not_yet, self._tried = "", 0
-        self._warned: frozenset[str] = frozenset()
         self._rested_s, self._cost_s = 0.0, 0.0
         self.state = CoachState()
 
@@ -226,7 +227,7 @@ class Coach:
     def _confirmed(self, imu: ImuSamples, foreseen: tuple[Need, ...]) -> tuple[bool, tuple[Need, ...]]:
         """Return whether a calibration of the recording serves, and what it reached; learn from the difference.
 
-        What a recording with more rests was warned of as well, such as a gap, holds nobody up.
+        What is past, such as a gap where the cable was pulled out, is told and holds nobody up.
         """
         try:
             calibration = calibrate_imu(Recording(imus={"imu0": imu})).calibration
@@ -240,10 +241,9 @@ class Coach:
             self._factors[need.block] = self._factors.get(need.block, 1.0) * times
         judged = judge_for_use(calibration, None if self._use.name == GENERAL else self._use)
         wrong = [one for one in judged.assessment.findings if one.severity in {"problem", "warning"}]
-        warned, self._warned = self._warned, frozenset(finding.code for finding in wrong)
         self._not_yet = f"{wrong[0].message} {wrong[0].cure}" if wrong else ""
-        stays = judged.verdict == "warn" and self._warned <= warned
-        return (judged.verdict == "pass" or stays) and all(need.verdict == "pass" for need in needs), needs
+        past = judged.verdict == "warn" and {finding.code for finding in wrong} <= _PAST
+        return (judged.verdict == "pass" or past) and all(need.verdict == "pass" for need in needs), needs
 
     def _in_units(self, last_s: float | None) -> ImuSamples:
         """Return all samples, or those of the last seconds, in units as a reader would tell them."""
