@@ -87,7 +87,7 @@ def shot(browser, name):
         screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
         browser.call("Emulation.setDeviceMetricsOverride", **screen)
         browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        time.sleep(0.4)
+        time.sleep(0.8)  # until it is drawn again
         taken = browser.call("Page.captureScreenshot", captureBeyondViewport=width < 500)["data"]
         Path(SHOTS, f"{name}-{width}-{scheme}.png").write_bytes(base64.b64decode(taken))
 

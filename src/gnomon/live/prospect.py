@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from .._version import __version__
-from ..assess.checks.protocol import find_imu_rests
+from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream
@@ -31,7 +31,7 @@ DIRECTIONS = np.array([row for row in product((-1.0, 0.0, 1.0), repeat=3) if any
 _UNIT = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 _FACES = _UNIT[np.count_nonzero(DIRECTIONS, axis=1) == 1]
 _APART = np.cos(np.radians(35.0))
-_FEWEST = 7
+_FEWEST, _ATTITUDES, _FAR = 7, 12, 1e3
 _PREDICTED = Provenance(gnomon_version=__version__, method="live")
 
 
@@ -83,8 +83,11 @@ def look_ahead(imu: ImuSamples, use: Use, factors: Mapping[str, float] | None = 
         after = [_worst(_predicted(more, problem, imu), use, factors or {}) for more in with_one_more_rest(fit, _UNIT)]
     except (GnomonError, np.linalg.LinAlgError):  # attitudes too much alike
         return before
-    new = np.max(_UNIT @ up.T, axis=1)
-    best = int(np.argmin(np.array(after) * (1 + 0.02 * (new > _APART))))  # of equals the one that is new
+    alike = np.max(_UNIT @ up.T, axis=1) > _APART
+    wanted = (
+        distinct_attitudes(means, samples)[0] < _ATTITUDES
+    )  # until then a new one, after that the new one of equals
+    best = int(np.argmin(np.array(after) * (1 + (_FAR if wanted else 0.02) * alike)))
     return replace(before, needs=needs, target=_UNIT[best])
 
 
