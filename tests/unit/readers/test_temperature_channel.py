@@ -20,6 +20,13 @@ def table(path, header, temperature):
     return path
 
 
+def test_of_two_thermometers_the_first_one_counts(tmp_path):
+    path = table(tmp_path / "log.csv", "temp_imu_degC,temp_baro_degC", lambda i: f"{24 + i / 50},{50 - i / 50}")
+    recording = read(path, units="si")
+    np.testing.assert_allclose(recording.imus["imu0"].temperature.values, 24 + np.arange(100) / 50)
+    assert "2 temperatures (temp_imu_degC, temp_baro_degC); temp_imu_degC is used" in " ".join(recording.assumptions)
+
+
 @pytest.mark.parametrize(
     ("header", "value", "unit", "celsius"),
     [
