@@ -78,7 +78,7 @@ def guided(folder, seed, use, *, obeys):
 
 def study_hand(first, last):
     for use in ("ahrs", "vio"):
-        rests, alone, seconds, ratios, worst, verdicts, unmet = [], [], [], [], [], Counter(), 0
+        rests, alone, seconds, ratios, shown, worst, verdicts, unmet = [], [], [], [], [], [], Counter(), 0
         for seed in range(first, last):
             with tempfile.TemporaryDirectory() as place:
                 _, unguided, _ = guided(Path(place) / "u", seed, use, obeys=False)
@@ -90,6 +90,7 @@ def study_hand(first, last):
             seconds.append(state.seconds)
             reached = {need.block: need.sigma for need in needs_of_use(calibration, USES[use])}
             ratios += [need.sigma / reached[need.block] for need in ahead.needs]
+            shown += [need.sigma / reached[need.block] for need in state.prospect.needs]
             verdicts[gnomon.judge(calibration, use).verdict] += 1
             pairs = zip(
                 calibration_parameters(calibration.imus), calibration_parameters({"imu0": hand.truth}), strict=True
@@ -105,7 +106,8 @@ def study_hand(first, last):
             f"{np.median(alone):.0f} ({min(alone)} to {max(alone)}), tutorial {TUTORIAL}; {np.median(seconds):.0f} s; "
             f"verdicts {dict(verdicts)}, never confirmed {unmet}; largest error of 30 parameters "
             f"{np.median(worst):.2f} sigma (median), {max(worst):.2f} (most), beyond 4: {sum(w > 4 for w in worst)}; "
-            f"foreseen over final sigma {low:.2f} to {high:.2f} (90 %), {least:.2f} to {most:.2f} (all)",
+            f"shown at the end over final sigma {min(shown):.2f} to {max(shown):.2f}, "
+            f"foreseen without a trial {low:.2f} to {high:.2f} (90 %), {least:.2f} to {most:.2f} (all)",
             flush=True,
         )
 
