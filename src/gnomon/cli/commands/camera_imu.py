@@ -56,8 +56,9 @@ _NO_CAM = (
 class CameraImu(Command):
     """Calibrate cameras and an IMU that were waved together in front of a board.
 
-    Hold the board still and the whole of it in view; turn the rig about all its axes and shake it along all of them,
-    as fast as the images stay sharp, for about a minute.
+    Fix the board and keep it in view, a checkerboard or grid of circles as a whole; of an AprilGrid or ChArUco board a
+    part is enough. Turn the rig about all its axes and shake it along all of them, as fast as the images stay sharp,
+    for one to two minutes.
 
     Examples
     --------
