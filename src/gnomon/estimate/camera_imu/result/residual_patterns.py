@@ -13,7 +13,7 @@ from ....frozen import value_class
 from ....recording import Floats, Integers
 from ..solution import Solution
 from ..terms.board import BoardPoints
-from ..terms.corner_sums import chunks
+from ..terms.corner_sums import exposure_chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
 
@@ -188,7 +188,7 @@ def counting_corners(solution: Solution) -> list[CountingCorners]:
             where = where + parameters.board.offsets[exposures.point]
         size, every = len(where), exposures.of_corner
         counts, residual, on_board = np.zeros(size, dtype=bool), np.empty((size, 2)), np.empty((size, 2))
-        for first, last in chunks(exposures.start):
+        for first, last in exposure_chunks(exposures.start):
             at = slice(int(exposures.start[first]), int(exposures.start[last]))
             of = every[at]
             turned = R[of]

@@ -174,7 +174,7 @@ def corner_sums(
     valid = np.zeros(count, np.int64)
     residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
     compiled = shape is None and width <= library.MOST_COLUMNS and library.load_kernel() is not None
-    for first, last in chunks(exposures.start):
+    for first, last in exposure_chunks(exposures.start):
         corners = slice(int(exposures.start[first]), int(exposures.start[last]))
         lengths = np.diff(exposures.start[first : last + 1])
         which = np.repeat(np.arange(last - first), lengths)
@@ -268,7 +268,7 @@ def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> 
     return found
 
 
-def chunks(start: Integers) -> list[tuple[int, int]]:
+def exposure_chunks(start: Integers) -> list[tuple[int, int]]:
     """Return (first, last + 1) of consecutive exposures that have some thousand corners together."""
     edges = [0]
     while edges[-1] < len(start) - 1:
