@@ -154,6 +154,7 @@ def test_what_euroc_proves_is_added_and_its_parts_agree(euroc):
     assert abs(np.linalg.norm(baseline[:3, 3]) - np.linalg.norm(published[:3, 3])) < 0.5e-3
 
 
+@pytest.mark.long
 def test_euroc_with_kalibrs_weights(euroc):
     """Two programs, one minimum; Kalibr's numbers as they were noted down, to 0.01 mm and 1e-5."""
     result = euroc(model="full", **KALIBRS_WEIGHTS)

@@ -47,6 +47,7 @@ def test_every_layout_gives_the_same_calibration_to_the_last_digit(calibrated, l
         assert (found / name).read_bytes() == (expected / name).read_bytes()
 
 
+@pytest.mark.long
 def test_inputs_name_what_was_read(calibrated):
     names = {
         layout: [source.name for source in gnomon.load(calibrated(layout) / "calibration.yaml").provenance.inputs]
