@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 import gnomon
-from gnomon.results.sensors import TEMPERATURE_PARTS
+from gnomon.results.sensors import TEMPERATURE_PARTS, TemperatureDependence
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.study.temperature import METHODS, TemperatureTask, draw_scenario, run_temperature
 
 HERE = Path(__file__).parent
+TRIADS = ("accelerometer", "gyroscope")
 FAULTS = {
     "none": (lambda one: None, "RecordingError"),
     "one temperature": (lambda one: replace(one, values=25 + 0.02 * np.sin(np.arange(len(one)))), "temperature-range"),
@@ -107,20 +108,23 @@ def turned_once(options: argparse.Namespace) -> list[str]:
     and 50 mm/s^2 over the recording; a line, a decay, a random walk), and sensors whose temperature only rises.
     """
     scenario = TemperatureScenario(
-        turned=True, order=1, sensitivity_order=0, sensitivity_scatter=0.0, recordings=1, intervals=36, rate_hz=100.0,
-        self_heating_k=15.0, time_constant_s=60.0, start_degc=20.0, end_degc=40.0, back=True,
+        turned=True, order=options.order, sensitivity_order=0, sensitivity_scatter=0.0, recordings=1, intervals=36,
+        rate_hz=100.0, self_heating_k=options.heating, time_constant_s=60.0, start_degc=20.0, end_degc=40.0, back=True,
+        lag_s=options.lag,
     )  # fmt: skip
-    z: dict[str, list[float]] = {"accelerometer_bias": [], "gyroscope_bias": []}
-    missed, wrong = dict.fromkeys(z, 0), dict.fromkeys(("line", "decay", "walk", "one way"), 0)
+    z: dict[str, list[float]] = {f"{triad}, {what}": [] for triad in TRIADS for what in ("slope", "curve")}
+    missed, wrong = dict.fromkeys(TRIADS, 0), dict.fromkeys(("line", "decay", "walk", "one way"), 0)
     for seed in range(options.first, options.first + options.imu):
         made = simulate_temperature(scenario, seed)
-        found = slopes_of(made.recordings[0])
-        for part in z:
-            missed[part] += part not in found
-            if part in found:
-                slopes, sigma = found[part]
-                z[part] += ((slopes - getattr(made.truth, part)[0]) / sigma).tolist()
-        wrong["one way"] += bool(slopes_of(simulate_temperature(replace(scenario, back=False), seed).recordings[0]))
+        found = slopes_of(made.recordings[0], made.truth)
+        for triad in TRIADS:
+            missed[triad] += triad not in found
+            for what, each in found.get(triad, {}).items():
+                z[f"{triad}, {what}"] += each.tolist()
+        if not options.drifts:
+            continue
+        one_way = simulate_temperature(replace(scenario, back=False), seed)
+        wrong["one way"] += bool(slopes_of(one_way.recordings[0], one_way.truth))
         imu = simulate_temperature(replace(scenario, order=0), seed).recordings[0].imus["imu0"]
         rng, t = np.random.default_rng([seed, 2]), np.linspace(0, 1, len(imu.gyroscope))
         walk = np.cumsum(rng.standard_normal(len(t))) / np.sqrt(len(t))
@@ -130,35 +134,54 @@ def turned_once(options: argparse.Namespace) -> list[str]:
                 for triad, size in ((imu.gyroscope, 8e-3), (imu.accelerometer, 5e-2))
             )
             drifting = replace(imu, gyroscope=gyroscope, accelerometer=accelerometer)
-            wrong[name] += bool(slopes_of(gnomon.Recording(imus={"imu0": drifting})))
+            wrong[name] += bool(slopes_of(gnomon.Recording(imus={"imu0": drifting}), made.truth))
     lines = [
         "",
-        f"slopes by gnomon imu, 15 K up and down once, {options.imu} sensors (seeds {options.first} to "
-        f"{options.first + options.imu - 1})",
+        f"biases of order {options.order} by gnomon imu, {options.heating:g} K up and down once, lag {options.lag:g} s, "
+        f"{options.imu} sensors (seeds {options.first} to {options.first + options.imu - 1})",
         "",
-        "| | not found in | NEES per entry | within 2 sigma | worst [sigma] |",
+        "| | not found in | mean square over variance | within 2 sigma | worst [sigma] |",
         "| --- | --- | --- | --- | --- |",
     ]
     for part, each in z.items():
-        one = np.array(each)
+        one = np.array(each or [np.nan])
         lines.append(
-            f"| {part.replace('_', ' ')} | {missed[part]} | {np.mean(one**2):.2f} | {np.mean(abs(one) < 2):.1%} | "
+            f"| {part} | {missed[part.split(',')[0]]} | {np.mean(one**2):.2f} | {np.mean(abs(one) < 2):.1%} | "
             f"{abs(one).max():.1f} |"
         )
     told = ", ".join(f"{name} {count}" for name, count in wrong.items())
-    return [*lines, "", f"slopes where there is none, of {options.imu} each: {told}"]
+    return [*lines, *(["", f"slopes where there is none, of {options.imu} each: {told}"] if options.drifts else [])]
 
 
-def slopes_of(recording: gnomon.Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return the slopes that `gnomon imu` finds, and their sigmas; none of a recording that it refuses."""
+def slopes_of(recording: gnomon.Recording, truth: TemperatureDependence) -> dict[str, dict[str, np.ndarray]]:
+    """Return how far off `gnomon imu` is in each triad, in sigmas (3,); nothing of a recording that it refuses.
+
+    Of the slope at its reference, and of the change over the range that it saw, as rms.
+    """
     try:
         calibration = gnomon.calibrate_imu(recording).calibration
     except gnomon.GnomonError as error:
         print(error)
         return {}
     found = calibration.imus["imu0"].temperature
-    parts = () if found is None else found.parts()
-    return {part: (value[0], calibration.sigma(f"imu0.temperature.{part}")[0]) for part, value in parts}
+    off: dict[str, dict[str, np.ndarray]] = {}
+    for part, value in () if found is None else found.parts():
+        d = np.linspace(found.low_degc, found.high_degc, 50) - found.reference_degc
+        true = getattr(truth, part)
+        true = np.zeros((1, 3)) if true is None else true
+        beyond = found.reference_degc - truth.reference_degc
+        slope = sum(power * one * beyond ** (power - 1) for power, one in enumerate(true, 1))
+        change = truth.change(part, d + found.reference_degc) - truth.change(part, np.array([found.reference_degc]))
+        powers = np.vander(d, len(value) + 1, increasing=True)[:, 1:]
+        covariance = calibration.covariance(f"imu0.temperature.{part}")
+        variance = np.column_stack(
+            [np.einsum("ij,jk,ik->i", powers, covariance[axis::3, axis::3], powers) for axis in range(3)]
+        )
+        off[part.split("_")[0]] = {
+            "slope": (value[0] - slope) / calibration.sigma(f"imu0.temperature.{part}")[0],
+            "curve": np.sqrt(np.mean((powers @ value - change) ** 2, axis=0) / np.mean(variance, axis=0)),
+        }
+    return off
 
 
 def compared(options: argparse.Namespace) -> list[str]:
@@ -197,6 +220,10 @@ def main() -> None:
     parser.add_argument("--temperatures", type=int, default=3, help="of each of these")
     parser.add_argument("--scatter", type=float, default=1.0, help="their scatter between recordings over the usual")
     parser.add_argument("--imu", type=int, default=0, help="sensors that are turned once while it rises and falls")
+    parser.add_argument("--order", type=int, default=1, help="of their biases")
+    parser.add_argument("--lag", type=float, default=0.0, help="of their thermometers [s]")
+    parser.add_argument("--heating", type=float, default=15.0, help="of their chips [K]")
+    parser.add_argument("--drifts", action="store_true", help="with them, those that drift with the time alone")
     parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results-temperature.md")
     options = parser.parse_args()
     lines = compared(options) if options.seeds else []

@@ -37,6 +37,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..progress import Progress
 from ..recording import Floats, Recording
+from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..results.intervals import Booleans, interval_means
 from ..results.result import Result
@@ -53,8 +54,10 @@ from .steps.preparation import (
     weighted_stream,
 )
 from .steps.protocol import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, left_to_rests
-from .steps.temperature_while_turned import TemperatureSlopes, temperature_slopes
+from .steps.temperature_while_turned import BiasPolynomials, bias_polynomials, temperature_powers
 
+_LAGS = 3
+"""How often the lag of the thermometer is found again."""
 _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
 
 
@@ -118,6 +121,11 @@ def calibrate_imu(
     known = gather_prior(prior, options, prepared.units, free=options.free, gravity=gravity)
     tell(f"fitting {len(readings.problem.data.accelerometer)} static intervals and the rotations between them")
     fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
+    for _ in range(_LAGS):  # with a lag that is not undone, a curve in the temperature is none in what is read
+        if fit.temperature is None or fit.temperature.lag_s == readings.lag_s:
+            break
+        readings = _readings(prepared, detection.chosen, options, lag_s=fit.temperature.lag_s)
+        fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
     tell("assessing the result")
     return _assess(recording, prepared, fit, known=known, gravity=gravity, options=options)
 
@@ -144,6 +152,7 @@ class _Readings:
     touched : which of the intervals found were disturbed, and are left out
     course : of the accelerometer's bias over the time, see `accelerometer_course`
     reference_degc : mean temperature at rest [degC]; None where it did not both rise and fall
+    lag_s : of the thermometer, which is undone in the temperature [s]
     """
 
     problem: MultiPositionProblem
@@ -151,9 +160,12 @@ class _Readings:
     touched: Booleans
     course: BiasChanges
     reference_degc: float | None
+    lag_s: float
 
 
-def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions) -> _Readings:
+def _readings(
+    prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0
+) -> _Readings:
     at_rest = weighted_stream(
         prepared.accelerometer,
         prepared.accelerometer_time.t_s,
@@ -161,13 +173,17 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
         chosen.intervals,
     )
     reference = None
-    if prepared.degc is not None:
-        reference = float(interval_means(prepared.degc, chosen.intervals)[:, 0].mean())
-        at_rest = replace(at_rest, degc=prepared.degc - [reference, 0.0])
-    course, functions = accelerometer_course(at_rest)
+    if prepared.temperature is not None and (course := temperature_course(prepared.temperature, lag_s)) is not None:
+        degc = course.with_rate(prepared.accelerometer.t_ns)
+        resting = interval_means(degc, chosen.intervals)[:, 0]
+        reference = float(resting.mean())
+        at_rest = replace(at_rest, degc=temperature_powers(degc, resting, course.step_k))
+    changes, functions = accelerometer_course(at_rest)
     touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
-    return _Readings(problem=problem, streams=streams, touched=touched, course=course, reference_degc=reference)
+    return _Readings(
+        problem=problem, streams=streams, touched=touched, course=changes, reference_degc=reference, lag_s=lag_s
+    )
 
 
 def _fit(
@@ -192,7 +208,7 @@ def _fit(
         course=None if readings.touched.any() else readings.course,
     )
     estimate = _in_units(model.fit, problem, gravity, options)
-    slopes = temperature_slopes(model.fit, problem, readings.reference_degc)
+    slopes = bias_polynomials(model.fit, problem, readings.reference_degc, readings.lag_s)
     imu = imu_calibration(estimate, prepared)
     names = covariance_names({"imu0": imu if slopes is None else replace(imu, temperature=slopes.found)})
     trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, slopes, gravity=gravity, options=options)
@@ -313,7 +329,7 @@ def _trusted(
     problem: MultiPositionProblem,
     estimate: ImuEstimate,
     names: tuple[str, ...],
-    slopes: TemperatureSlopes | None,
+    slopes: BiasPolynomials | None,
     *,
     gravity: Gravity,
     options: ImuOptions,

@@ -35,6 +35,7 @@ from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data
+from .steps.temperature_while_turned import supported_order
 from .steps.warm_ups import RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
 from .turned_temperature import (
     FEWEST_TEMPERATURES,
@@ -44,9 +45,6 @@ from .turned_temperature import (
     turned_calibration,
 )
 
-_ORDER_FROM_K = (4.0, 10.0, 20.0)
-"""Range of temperature that order 1, 2, 3 needs [K], and steps of the thermometer."""
-_STEPS = 4.0
 _LAG_GAIN = 15.0
 """Twice the log likelihood that a lag has to gain."""
 _BEYOND = 0.05
@@ -155,7 +153,7 @@ def _turned(
     degc = (np.array(low) + np.array(high)) / 2
     return fit_turned(
         [recordings[i] for i in which], [names[i] for i in which], degc, reference_degc,
-        supported=_supported(float(np.ptp(degc)), max(step)), progress=tell,
+        supported=supported_order(float(np.ptp(degc)), max(step)), progress=tell,
     )  # fmt: skip
 
 
@@ -240,11 +238,6 @@ def _reference(stated: float | None, calibration: Calibration | None, span: tupl
     )
 
 
-def _supported(range_k: float, step_k: float) -> int:
-    """Return the highest order that a range of temperatures supports."""
-    return sum(range_k >= max(least, _STEPS * order * step_k) for order, least in enumerate(_ORDER_FROM_K, 1))
-
-
 def _fit(recorded: RestRecordings, reference: float, tell: Progress) -> _Fit:
     triads = recorded.bins[0].triads
     if any(one.triads != triads for one in recorded.bins):
@@ -253,7 +246,7 @@ def _fit(recorded: RestRecordings, reference: float, tell: Progress) -> _Fit:
     every = [axis for part in axes.values() for axis in part]
     as_read = recorded.warm_ups(0.0)
     low, high = (float(pick([pick(one.degc) for one in as_read])) for pick in (min, max))
-    most = _supported(high - low, max(one.step_k for one in as_read))
+    most = supported_order(high - low, max(one.step_k for one in as_read))
 
     @cache
     def at_lag(lag_s: float) -> DriftProblem:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.steps.temperature_while_turned import course_both_ways
+from gnomon.calibrate.steps.temperature_while_turned import rose_and_fell
 from gnomon.recording import ImuSamples, Recording, TemperatureSamples
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
@@ -112,5 +112,4 @@ def test_several_are_joined_at_the_reference(both_ways):
 )
 def test_only_a_temperature_that_rose_and_fell_counts(degc, known):
     t_ns = np.arange(len(degc)) * 3_000_000_000
-    course = course_both_ways(TemperatureSamples(t_ns=t_ns, values=degc, unit="degC"))
-    assert (course is not None) == known
+    assert rose_and_fell(TemperatureSamples(t_ns=t_ns, values=degc, unit="degC")) == known

@@ -16,6 +16,7 @@ _SEEN = 0.3  # of the bias's sigma, from which on a course is worth a word
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
 _MOSTLY = 0.5  # of a variance
+_CURVE = 100  # temperatures at which a polynomial is looked at
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
@@ -64,16 +65,21 @@ def _slope_findings(evidence: ImuFitSummary) -> Iterator[Finding]:
     found = evidence.temperature
     if found is None:
         return
-    variances = np.diag(evidence.estimate.covariance)[len(evidence.unseen_sigma) :].reshape(-1, 3)
-    for (part, slopes), variance in zip(found.parts(), variances, strict=True):
+    at = np.linspace(found.low_degc, found.high_degc, _CURVE)
+    first = len(evidence.unseen_sigma)
+    for part, coefficients in found.parts():
         triad = part.removesuffix("_bias")
-        size = (found.high_degc - found.low_degc) / _per_si(evidence, triad)
-        worst = int(np.argmax(np.abs(size * slopes[0])))
+        own = slice(first, first := first + coefficients.size)
+        moved = found.change(part, at) / _per_si(evidence, triad)
+        worst = int(np.argmax(np.ptp(moved, axis=0)))
+        powers = np.vander(at - found.reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
+        ends = powers[np.argmax(moved[:, worst])] - powers[np.argmin(moved[:, worst])]
+        variance = ends @ evidence.estimate.covariance[own, own][worst::3, worst::3] @ ends
         yield make_finding(
             "temperature-slope",
             triad=triad,
-            change=_shown(triad, float(abs(size * slopes[0])[worst])),
-            sigma=_shown(triad, float(size[worst] * np.sqrt(variance[worst]))),
+            change=_shown(triad, float(np.ptp(moved[:, worst]))),
+            sigma=_shown(triad, float(np.sqrt(variance) / _per_si(evidence, triad)[worst])),
             low=found.low_degc,
             high=found.high_degc,
             reference=found.reference_degc,

@@ -25,7 +25,7 @@ from ...geometry.so3 import nearest_rotation
 from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
-from ...recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources, smallest_steps
+from ...recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples, shared_sources, smallest_steps
 from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
@@ -38,7 +38,7 @@ from ...results.calibration import (
     rotate_imu,
 )
 from ...results.intervals import Booleans, StaticIntervals
-from .temperature_while_turned import chip_temperature, course_both_ways
+from .temperature_while_turned import chip_temperature, rose_and_fell
 
 _POSE = re.compile(r"([xyz])=(-?)(\d+)")
 
@@ -186,8 +186,7 @@ class PreparedImu:
     accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
     findings : what the data doctor noticed
     rests : where it rested, as the data doctor found it; None where it is shorter than two windows
-    degc : (n, 2) temperature at the accelerometer's samples [degC] and its rate [K/s]; None where it did not both rise
-        and fall
+    temperature : readings of its thermometer; None where it did not both rise and fall
     """
 
     accelerometer: TriadSamples
@@ -198,7 +197,7 @@ class PreparedImu:
     gyroscope_saturated: Booleans
     findings: tuple[Finding, ...]
     rests: RestDetection | None
-    degc: Floats | None = None
+    temperature: TemperatureSamples | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -336,7 +335,6 @@ def _on_time_base(
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
     gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
     findings += tuple(_uniform_despite_gaps(accelerometer_time, gyroscope_time))
-    course = course_both_ways(samples.temperature)
     return PreparedImu(
         accelerometer=accelerometer,
         gyroscope=gyroscope,
@@ -346,7 +344,7 @@ def _on_time_base(
         gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
-        degc=None if course is None else course.with_rate(accelerometer.t_ns),
+        temperature=samples.temperature if rose_and_fell(samples.temperature) else None,
     )
 
 

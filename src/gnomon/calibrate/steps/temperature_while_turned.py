@@ -15,24 +15,27 @@ from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...frozen import value_class
 from ...recording import Floats, Integers, Recording, TemperatureSamples
-from ...recording.thermometer import TemperatureCourse, known_readings, temperature_course
+from ...recording.thermometer import known_readings, temperature_course
 from ...results.sensors import TemperatureDependence
 
 _BOTH_WAYS_K, _BOTH_WAYS_STEPS, _BOTH_WAYS_SHARE = 4.0, 4.0, 0.3
 """How far the temperature has to rise, and to fall: in kelvins, steps of the thermometer, and of its range."""
+
+_ORDER_FROM_K, _STEPS = (4.0, 10.0, 20.0), 4.0
+"""Range of temperature that order 1, 2, 3 needs: in kelvins, and in steps of the thermometer for each order."""
 
 _SIGMAS = 4.0
 """From which on a lag is no chance."""
 
 
 @value_class
-class TemperatureSlopes:
+class BiasPolynomials:
     """Biases that follow the temperature.
 
     Attributes
     ----------
     found : the dependence
-    jacobian : (3 k, p) of its coefficients by the scaled parameters of the fit
+    jacobian : (3 k, p) of its k rows of coefficients by the scaled parameters of the fit
     """
 
     found: TemperatureDependence
@@ -53,24 +56,54 @@ def chip_temperature(recordings: Sequence[Recording]) -> dict[str, str]:
     return {"chip_degc": f"{mean:.2f}", "chip_range_degc": f"{low:.2f} to {high:.2f}"}
 
 
-def course_both_ways(samples: TemperatureSamples | None) -> TemperatureCourse | None:
-    """Return the course of a temperature that rose and fell, both by enough; else None."""
+def rose_and_fell(samples: TemperatureSamples | None) -> bool:
+    """Return whether a temperature rose and fell, both by enough."""
     read = None if samples is None else known_readings(samples)
     if samples is None or read is None or np.ptp(read[1]) < _BOTH_WAYS_K:
-        return None
+        return False
     course = temperature_course(samples)
     assert course is not None
     rise = np.max(course.degc - np.minimum.accumulate(course.degc))
     fall = np.max(np.maximum.accumulate(course.degc) - course.degc)
     steps = _BOTH_WAYS_STEPS * float(np.nan_to_num(course.step_k))
     least = max(_BOTH_WAYS_K, steps, _BOTH_WAYS_SHARE * float(np.ptp(course.degc)))
-    return course if min(rise, fall) >= least else None
+    return bool(min(rise, fall) >= least)
 
 
-def temperature_slopes(
-    fit: MultiPositionFit, problem: MultiPositionProblem, reference_degc: float | None
-) -> TemperatureSlopes | None:
-    """Return how the biases follow the temperature in a fit; None where they do not."""
+def supported_order(range_k: float, step_k: float) -> int:
+    """Return the highest order that a range of temperatures supports, with a thermometer of such steps."""
+    return sum(range_k >= max(least, _STEPS * order * step_k) for order, least in enumerate(_ORDER_FROM_K, 1))
+
+
+def temperature_powers(degc: Floats, at_rest: Floats, step_k: float) -> Floats:
+    """Return what a bias may follow: temperature above the mean at rest [K], its rate [K/s], and higher powers [K^j].
+
+    One power more than the range at rest supports: what is left of a curve would be in the other coefficients, and is
+    so in their sigmas.
+
+    Parameters
+    ----------
+    degc : (n, 2) temperature at samples [degC] and its rate [K/s]
+    at_rest : (m,) the same temperature in each rest [degC]
+    step_k : of the thermometer
+    """
+    d = degc[:, 0] - at_rest.mean()
+    order = max(supported_order(float(np.ptp(at_rest)), float(np.nan_to_num(step_k))), 1)
+    return np.column_stack([d, degc[:, 1], *(d**power for power in range(2, order + 2))])
+
+
+def bias_polynomials(
+    fit: MultiPositionFit, problem: MultiPositionProblem, reference_degc: float | None, lag_s: float
+) -> BiasPolynomials | None:
+    """Return how the biases follow the temperature in a fit; None where they do not.
+
+    The highest power is not stated: see `temperature_powers`.
+
+    Parameters
+    ----------
+    reference_degc : from which the fit counts the temperature [degC]
+    lag_s : of the thermometer, which is undone already [s]
+    """
     columns = temperature_columns(fit.data)
     if reference_degc is None or fit.data.degc is None or not columns:
         return None
@@ -80,21 +113,26 @@ def temperature_slopes(
     for triad in ("accelerometer", "gyroscope"):  # as the covariance lists them
         if triad in columns:
             spread = getattr(problem, triad).spread
-            values[f"{triad}_bias"] = (spread * fit.state.theta[columns[triad]])[None]
-            rows.append(np.zeros((3, len(fit.free))))
-            rows[-1][np.arange(3), columns[triad]] = spread
+            slopes, _, *curves, _ = columns[triad]
+            values[f"{triad}_bias"] = np.array([spread * fit.state.theta[at] for at in (slopes, *curves)])
+            for at in (slopes, *curves):
+                rows.append(np.zeros((3, len(fit.free))))
+                rows[-1][np.arange(3), at] = spread
     known = TemperatureDependence(
-        reference_degc=reference_degc, low_degc=low, high_degc=high, lag_s=_lag(fit, list(columns.values()))
+        reference_degc=reference_degc,
+        low_degc=low,
+        high_degc=high,
+        lag_s=max(lag_s + _lag(fit, list(columns.values())), 0.0),
     )
-    return TemperatureSlopes(found=replace(known, **values), jacobian=np.concatenate(rows))
+    return BiasPolynomials(found=replace(known, **values), jacobian=np.concatenate(rows))
 
 
 def _lag(fit: MultiPositionFit, columns: Sequence[Integers]) -> float:
-    """Return the lag of the thermometer [s], the rate's coefficients over the temperature's; 0 where it is chance."""
-    at = np.concatenate(list(columns))
+    """Return the lag that is left [s], the rate's coefficients over the temperature's; 0 where it is chance."""
+    at_slopes, at_rates = (np.concatenate([own[row] for own in columns]) for row in (0, 1))
     place = np.cumsum(fit.free) - 1
-    slopes, rates = fit.state.theta[at], fit.state.theta[at + 3]
-    variance = np.diag(fit.arrow.corner_covariance)[place[at + 3]]
+    slopes, rates = fit.state.theta[at_slopes], fit.state.theta[at_rates]
+    variance = np.diag(fit.arrow.corner_covariance)[place[at_rates]]
     information = float(np.sum(slopes**2 / variance))
     lag = float(np.sum(slopes * rates / variance)) / max(information, 1e-300)
-    return lag if lag > _SIGMAS / np.sqrt(max(information, 1e-300)) else 0.0
+    return lag if abs(lag) > _SIGMAS / np.sqrt(max(information, 1e-300)) else 0.0

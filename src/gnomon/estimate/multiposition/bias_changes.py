@@ -71,8 +71,8 @@ class RestMeans:
     rest : (m,) number of the static interval that each is of, ascending
     t_s, half_s : (m,) middle and half of the length [s]
     means, variance : (m, 3) and the variance that white noise gives them
-    degc : (m, 2) temperature above a reference [K] and its rate [K/s], which takes up what a thermometer's lag leaves;
-        None where nothing tells its effect from that of the time
+    degc : (m, k) temperature above a reference [K], its rate [K/s], which takes up what a thermometer's lag leaves, and
+        higher powers [K^j]; None where nothing tells its effect from that of the time
     """
 
     rest: Integers
@@ -178,7 +178,7 @@ def accelerometer_changes(rests: RestMeans) -> BiasChanges:
         u = force / length[:, None]
         rows = (u[:, :, None] * u[:, None, :]).reshape(n, 9)[:, [0, 3, 4, 6, 7, 8]]
         if rests.degc is not None:
-            rows = np.concatenate([rows, rests.degc[:, 1:] * u], axis=1)
+            rows = np.concatenate([rows, rests.degc[:, 1:2] * u], axis=1)
         total = np.einsum("ni,ni->n", u, moved)  # what was taken off goes to the columns of the steps again
         return _Series(
             y=(length - 1 + total)[:, None],
@@ -205,20 +205,22 @@ def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int
     moved = np.zeros((n, 3))
     whitened = _whitened(rests, series(moved), candidates)
     slow = [k for k, kind in enumerate(candidates.kind) if kind == "warm-up"][_SLOW]
-    refused: list[int] = []
+    warmth = [k for k, kind in enumerate(candidates.kind) if kind == "temperature"]
     for _ in range(_MOST):
-        gains = _gains(whitened, candidates, taken) - _price(candidates, n, taken, shortest)
-        gains[refused] = -np.inf
+        price = _price(candidates, n, taken, shortest)
+        gains = _gains(whitened, candidates, taken) - price
+        gains[warmth] = -np.inf
         best = int(np.argmax(gains))
-        if candidates.kind[best] == "temperature" and gains[best] > 0:
+        gain, chosen = float(gains[best]), [best]
+        if warmth and not set(warmth) & set(taken):
             beside = [*taken, *(k for k in slow if k not in taken)]
-            if _gains(whitened, candidates, beside)[best] <= _price(candidates, n, taken, shortest)[best]:
-                refused.append(best)
-                continue
-        if gains[best] <= 0:
+            powers_gain, powers = _powers_gain(whitened, candidates, taken, price[warmth])
+            if powers_gain > max(gain, 0.0) and _powers_gain(whitened, candidates, beside, price[warmth])[0] > 0:
+                gain, chosen = powers_gain, powers
+        if gain <= 0:
             break
-        taken.append(best)
-        total += float(gains[best])
+        taken += chosen
+        total += gain
         candidates = _refined(rests, series(moved), candidates, taken)
         whitened = _whitened(rests, series(moved), candidates)
         if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
@@ -250,7 +252,7 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
     steps = shares_before(at.astype(np.float64), n)
     tau = np.array(DECAYS) * span
     decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
-    warmth = np.empty((n, 0)) if rests.degc is None else rests.degc[:, :1]
+    warmth = np.empty((n, 0)) if rests.degc is None else np.delete(rests.degc, 1, axis=1)
     parts = {"step": steps, "warm-up": decays, "temperature": warmth, "single": np.eye(n)}
     counts = [part.shape[1] for part in parts.values()]
     return _Candidates(
@@ -299,7 +301,9 @@ def _price(candidates: _Candidates, n: int, taken: Sequence[int], shortest: int)
     price[candidates.single] += _MARGIN
     price[list(taken)] = np.inf
     kinds = np.array(candidates.kind)
-    price[kinds == "temperature"] += _MARGIN
+    if len(slopes := np.flatnonzero(kinds == "temperature")):
+        price[slopes] = 1.5 * np.log(n)  # of the powers, of which only the first asks whether there is any
+        price[slopes[0]] += 2 * _MARGIN
     if sum(kinds[k] == "single" for k in taken) >= n // 10:
         price[candidates.single] = np.inf
     if any(kinds[k] == "warm-up" for k in taken):
@@ -402,6 +406,17 @@ def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequen
         likelier = _likelihood(lower, freedom[of_one], some.logdet[of_one], some.typical)
         raised = np.maximum(raised, likelier.max(axis=0))
     return np.asarray(np.sum(raised - base, axis=1), dtype=np.float64)
+
+
+def _powers_gain(
+    whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int], price: Floats
+) -> tuple[float, list[int]]:
+    """Return what powers of the temperature raise the log-likelihood beyond their price together, and which these are."""
+    powers = [k for k, kind in enumerate(candidates.kind) if kind == "temperature"]
+    each = [_gains(whitened, candidates, [*taken, *powers[:i]])[k] for i, k in enumerate(powers)]
+    gains = np.cumsum(np.array(each) - price)
+    best = int(np.argmax(gains))
+    return float(gains[best]), powers[: best + 1]
 
 
 def _without(some: _Whitened, taken: Sequence[int]) -> tuple[Floats, Floats, Floats]:

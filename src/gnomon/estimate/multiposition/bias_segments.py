@@ -18,6 +18,10 @@ _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
 _WEAK_K, _WEAK_LAG_S = 10.0, 100.0
 """Change of the temperature that is as weakly known to move a bias [K], and lag of the thermometer [s]."""
+_USUAL_SLOPE = {"gyroscope": 8.7e-4, "accelerometer": 1e-2}
+"""Of a bias, 0.05 deg/s and 1 mg a kelvin [rad/s/K, m/s^2/K]; see `options.requirements.BETWEEN_RECORDINGS`."""
+_BENDS_K = 50.0
+"""Chips are made for some 125 K, over which their data sheets draw such curves as bend."""
 
 
 def with_bias_steps(
@@ -102,29 +106,39 @@ def decay_functions(data: MultiPositionData, time_constant_s: float, triad: str)
     )
 
 
-def with_temperature(data: MultiPositionData, *, gyroscope: bool, accelerometer: bool) -> MultiPositionData:
-    """Return the data with biases that are linear in the temperature T, which the data tell at rest and in motion.
+def with_temperature(
+    data: MultiPositionData, sensitivities: tuple[Floats, Floats], *, gyroscope: bool, accelerometer: bool
+) -> MultiPositionData:
+    """Return the data with biases that follow powers of the temperature T, which the data tell at rest and in motion.
 
-    A thermometer that reads x and follows with a lag has T = x + lag x': the rate x' takes up what the lag leaves.
+    A thermometer that reads x and follows with a lag has T = x + lag x': the rate x' takes up what the lag leaves. Each
+    higher power is expected to be worth as much as a usual slope is where the temperature differs by `_BENDS_K`.
+
+    Parameters
+    ----------
+    sensitivities : (3,) of gyroscope and accelerometer, what one rad/s and one m/s^2 read [scaled units]
     """
     if data.degc is None:
         return data
     at_rest, in_motion = data.degc
-    for triad, follows in (("gyroscope", gyroscope), ("accelerometer", accelerometer)):
-        if follows:
-            sigma = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [_WEAK_LAG_S] * 3])
-            kind = ("temperature", "warming")
+    follows = {"gyroscope": gyroscope, "accelerometer": accelerometer}
+    for (triad, slope), sensitivity in zip(_USUAL_SLOPE.items(), sensitivities, strict=True):
+        if follows[triad]:
+            kind = ("temperature", "warming", *["curve"] * (at_rest.shape[1] - 2))
+            weak = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [_WEAK_LAG_S] * 3])
+            curves = [slope * sensitivity / _BENDS_K**power for power in range(1, len(kind) - 1)]
+            sigma = np.concatenate([weak, np.reshape(curves, (-1, 3))])
             function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=kind, sigma=sigma)
             data = replace(data, **{f"{triad}_functions": getattr(data, f"of_{triad}").beside(function)})
     return data
 
 
 def temperature_columns(data: MultiPositionData) -> dict[str, Integers]:
-    """Return where the coefficients of the temperature stand, those of its rate behind, of triads that have them."""
+    """Return where the coefficients of the temperature, its rate and its higher powers stand, (k, 3) of each triad."""
     found: dict[str, Integers] = {}
     first = PARAMETERS
     for triad, functions in (("gyroscope", data.of_gyroscope), ("accelerometer", data.of_accelerometer)):
-        for at in np.flatnonzero(functions.of_kind("temperature")):
-            found[triad] = first + 3 * int(at) + np.arange(3)
+        if len(at := np.flatnonzero(functions.of_kind("temperature", "warming", "curve"))):
+            found[triad] = first + 3 * at[:, None] + np.arange(3)
         first += 3 * len(functions.kind)
     return found

@@ -16,6 +16,7 @@ from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
+from ...units import STANDARD_GRAVITY_M_S2
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
 from .bias_segments import with_bias_steps, with_temperature, with_warm_up, without_rates
 from .drift import (
@@ -227,7 +228,10 @@ def _with_changes(
     if data.drifting or data.rests is None:
         return data, (BiasChanges(), BiasChanges())
     accelerometer, gyroscope = data.rests
-    floor = data.earth_rate_variance / np.sum(state.matrices[2] ** 2, axis=0)
+    sensitivity, _, correction, *_ = state.matrices
+    per_rad_s = 1 / np.linalg.norm(correction, axis=0)
+    per_m_s2 = np.linalg.norm(sensitivity, axis=1) / STANDARD_GRAVITY_M_S2  # directions have length 1
+    floor = data.earth_rate_variance * per_rad_s**2
     of_gyroscope, of_accelerometer = known
     if of_gyroscope is None:
         of_gyroscope = gyroscope_changes(replace(gyroscope, variance=gyroscope.variance + floor), state.u)
@@ -236,7 +240,9 @@ def _with_changes(
     data = with_bias_steps(data, gyroscope=of_gyroscope.steps, accelerometer=of_accelerometer.steps)
     data = without_rates(data, of_gyroscope.outlying)
     data = with_warm_up(data, gyroscope_s=of_gyroscope.warm_up_s, accelerometer_s=of_accelerometer.warm_up_s)
-    data = with_temperature(data, gyroscope=of_gyroscope.temperature, accelerometer=of_accelerometer.temperature)
+    data = with_temperature(
+        data, (per_rad_s, per_m_s2), gyroscope=of_gyroscope.temperature, accelerometer=of_accelerometer.temperature
+    )
     return data, (of_gyroscope, of_accelerometer)
 
 

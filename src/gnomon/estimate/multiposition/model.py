@@ -38,8 +38,8 @@ class BiasFunctions:
     ----------
     at_rest : (n, j) their means over the static intervals
     in_motion : (n - 1, j) their values in the rotations
-    kind : (j,) of each: "walk" (hat functions, which come first), "line", "warm-up", "temperature" and "warming" (its
-        rate), "step", or "single" (one interval)
+    kind : (j,) of each: "walk" (hat functions, which come first), "line", "warm-up", "temperature", "warming" (its
+        rate) and "curve" (its higher powers), "step", or "single" (one interval)
     sigma : (j, 3) standard deviation of the coefficients beforehand, scaled units; not used for a walk
     """
 
@@ -86,8 +86,8 @@ class MultiPositionData:
     rests : means of the accelerometer and the gyroscope at rest, long static intervals in parts; None where the biases
         of other instants are not looked for
     gyroscope_functions, accelerometer_functions : what the biases follow in time; None where they are constant
-    degc : (n, 2), (n - 1, 2) temperature above a reference [K] and its rate [K/s] at rest and in motion; None where
-        nothing tells its effect from that of the time
+    degc : (n, k), (n - 1, k) temperature above a reference [K], its rate [K/s] and higher powers at rest and in motion;
+        None where nothing tells its effect from that of the time
     """
 
     accelerometer: Floats

@@ -29,8 +29,8 @@ class TriadStream:
     density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
     rounding : (k, 3) variance of each mean at rest that the converter's steps make, however long it rests [unit^2]
     intervals : its samples at rest
-    degc : (n, 2) temperature above a reference [K] and its rate [K/s]; None where nothing tells its effect from that of
-        the time
+    degc : (n, k) temperature above a reference [K], its rate [K/s] and higher powers; None where nothing tells its
+        effect from that of the time
     """
 
     t_s: Floats
@@ -45,7 +45,7 @@ class TriadStream:
 
     @property
     def degc_at_rest(self) -> Floats | None:
-        """Their means in each static interval, (n, 2)."""
+        """Their means in each static interval, (n, k)."""
         return None if self.degc is None else interval_means(self.degc, self.intervals)
 
 

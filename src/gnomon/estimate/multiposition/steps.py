@@ -52,7 +52,7 @@ def imu_models(
         columns = np.arange(first, first + 3 * len(function.kind))
         first += len(columns)
         stepping = np.repeat(function.of_kind("step", "single"), 3)
-        warm = np.repeat(function.of_kind("temperature", "warming"), 3)
+        warm = np.repeat(function.of_kind("temperature", "warming", "curve"), 3)
         kinds = {"drift": columns[~(stepping | warm)], "temperature": columns[warm], "bias steps": columns[stepping]}
         for name, own in kinds.items():
             if len(own):
