@@ -137,8 +137,8 @@ def turned_once(options: argparse.Namespace) -> list[str]:
             wrong[name] += bool(slopes_of(gnomon.Recording(imus={"imu0": drifting}), made.truth))
     lines = [
         "",
-        f"biases of order {options.order} by gnomon imu, {options.heating:g} K up and down once, lag {options.lag:g} s, "
-        f"{options.imu} sensors (seeds {options.first} to {options.first + options.imu - 1})",
+        f"biases of order {options.order} by gnomon imu, {options.heating:g} K up and down once, "
+        f"lag {options.lag:g} s, {options.imu} sensors (seeds {options.first} to {options.first + options.imu - 1})",
         "",
         "| | not found in | mean square over variance | within 2 sigma | worst [sigma] |",
         "| --- | --- | --- | --- | --- |",

@@ -156,6 +156,35 @@ def test_a_rate_at_another_temperature_is_right_after_apply(oven, run, tmp_path)
 
 
 @pytest.mark.long
+def test_the_g_sensitivity_follows_the_temperature_of_three_turned_recordings(run, tmp_path):
+    scenario = replace(SCENARIO, turned=True, rate_hz=100.0, g_sensitivity=3e-6)
+    made = simulate_temperature(scenario, 21)
+    result = gnomon.calibrate_temperature(made.recordings)
+    known = result.calibration
+    found, path = known.imus["imu0"].temperature, "imu0.temperature.gyroscope_g_sensitivity"
+    assert found.gyroscope_g_sensitivity.shape == (1, 3, 3)
+    z = (found.gyroscope_g_sensitivity - made.truth.gyroscope_g_sensitivity) / known.sigma(path)
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    assert np.abs(z).max() < 3.5
+    told = [one.message for one in known.assessment.findings if one.code == "temperature-g-sensitivity"]
+    assert len(told) == 1
+    # In the cold it is another one: rates are off by less than where that is not known.
+    samples = made.recordings[0].imus["imu0"]
+    without = replace(known.imus["imu0"], temperature=replace(found, gyroscope_g_sensitivity=None))
+    true = replace(made.sensor, temperature=made.truth).apply(samples).gyroscope.values
+    rates = [one.apply(samples).gyroscope.values for one in (known.imus["imu0"], without)]
+    off = [float(np.std(rate - true, axis=0).max()) for rate in rates]
+    assert off[0] < off[1] / 2
+    # The file knows it, and the command that applies it block by block does the same as the library.
+    gnomon.save(known, tmp_path / "calibration.yaml")
+    assert "schema: gnomon/1.8" in (tmp_path / "calibration.yaml").read_text(encoding="utf-8")
+    save_recording(made.recordings[0], tmp_path / "cold.npz")
+    assert run("apply", tmp_path / "calibration.yaml", tmp_path / "cold.npz", "-o", tmp_path / "out.csv")[0] == 0
+    written = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)[:, 1:4]
+    assert np.allclose(written, rates[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.long
 def test_warm_ups_and_turned_recordings_are_told_apart_and_joined(oven, warm_ups):
     made, _ = oven
     recordings = [*made.recordings, simulate_temperature(replace(SCENARIO, recordings=1), 12).recordings[0]]

@@ -127,7 +127,7 @@ def _stated(calibration: Calibration, index: int) -> Iterator[UncertaintySource]
             sensitivity=-_scalar(calibration, path, element) / gravity.value,
             variance=variance,
         )
-    if path.endswith("g_sensitivity") and "latitude" not in calibration.provenance.options:
+    if path.endswith(".g_sensitivity") and "latitude" not in calibration.provenance.options:
         # the vertical part of the earth's rate turns with the attitude as gravity does
         slope = _scalar(calibration, path.replace("g_sensitivity", "sensitivity"), element) / gravity.value
         yield UncertaintySource(

@@ -163,9 +163,7 @@ class _Readings:
     lag_s: float
 
 
-def _readings(
-    prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0
-) -> _Readings:
+def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0) -> _Readings:
     at_rest = weighted_stream(
         prepared.accelerometer,
         prepared.accelerometer_time.t_s,

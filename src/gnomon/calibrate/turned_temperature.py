@@ -37,7 +37,7 @@ _PARTS = {
     f"{triad}_{part}": tuple(f"{triad}_{quantity}" for quantity in quantities)
     for triad in ("gyroscope", "accelerometer")
     for part, quantities in (("bias", ("bias",)), ("sensitivity", ("scale", "misalignment")))
-}
+} | {"gyroscope_g_sensitivity": ("gyroscope_g_sensitivity",)}
 """What may change with the temperature, each with one order, and its quantities."""
 
 
@@ -154,12 +154,14 @@ def turned_calibration(
     for part in TEMPERATURE_PARTS:
         if not (order := turned.orders[part]):
             continue
-        triad, kind = part.split("_")
+        triad, kind = part.split("_", 1)
         places = [at[name] for name in scalars.names if name.startswith(f"imu0.{triad}.{kind}[")]
         values = [getattr(getattr(term, triad), kind) for term in terms[1 : order + 1]]
         moved = [jacobian[places] for jacobian in jacobians[1 : order + 1]]
         if kind == "sensitivity":
             values, moved = _relative(getattr(terms[0], triad).sensitivity, values, jacobians[0][places], moved)
+        elif kind == "g_sensitivity":
+            values, moved = _by_itself(terms[0], parts.get("gyroscope_sensitivity"), values, moved)
         parts[part], rows[part] = np.array(values), np.concatenate(moved)
     found = replace(
         TemperatureDependence(reference_degc=turned.reference_degc, low_degc=low_degc, high_degc=high_degc), **parts
@@ -193,6 +195,21 @@ def _relative(
         for D, one in zip(relative, moved, strict=True)
     ]
     return relative, [one.reshape(9, count) for one in derivatives]
+
+
+def _by_itself(
+    sensor: ImuCalibration, relative: Floats | None, values: Sequence[Floats], moved: Sequence[Floats]
+) -> tuple[list[Floats], list[Floats]]:
+    """Return what of the g-sensitivity's coefficients is not that of the sensitivity, by the accelerometer's readings.
+
+    H_j = (P_j - D_j G) S^-1, and the derivatives (9, p) by P_j: D_j G is of second order, and S known far better.
+    """
+    assert sensor.gyroscope is not None
+    inverse = np.linalg.inv(sensor.required_accelerometer.sensitivity)
+    known = [] if relative is None else list(relative)
+    along = [D @ sensor.gyroscope.g_sensitivity for D in known] + [np.zeros((3, 3))] * len(values)
+    own = [(value - part) @ inverse for value, part in zip(values, along, strict=False)]
+    return own, [np.einsum("rmp,mc->rcp", one.reshape(3, 3, -1), inverse).reshape(9, -1) for one in moved]
 
 
 def _with_dependence(base: Calibration, found: TemperatureDependence, matrix: Floats) -> Calibration:

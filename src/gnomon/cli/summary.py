@@ -100,7 +100,7 @@ def parameter_lines(calibration: Calibration) -> Iterator[str]:
         sigma = calibration.sigma(path)
         if value.ndim == 0 or ".T_imu_body." in path:
             continue  # poses and clocks stand with those of the cameras
-        if path.endswith("g_sensitivity") and calibration.assessment.model not in {"g-sensitivity", "full"}:
+        if path.endswith(".g_sensitivity") and calibration.assessment.model not in {"g-sensitivity", "full"}:
             continue
         if calibration.cameras and path.endswith("sensitivity") and not sigma.any():
             continue  # an ideal sensor, by the choice of the model

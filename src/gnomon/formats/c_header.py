@@ -93,6 +93,14 @@ _SENSITIVITY = """\
     }}
 """
 
+_FELT = """\
+    /* what the temperature changes of the g-sensitivity alone, by the accelerometer at the reference */
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+            gyroscope[i] -= d * {change}
+                * ((accelerometer[j] - gnomon_{imu}_accelerometer_bias[j]) - gnomon_{imu}_accelerometer_bias_rest[j]);
+"""
+
 HOLDS = Holds(
     program="the C header", cameras=0, samples_in_si=False, magnetometer=True, temperature=True, temperature_scale=True
 )
@@ -182,8 +190,8 @@ def _temperature_function(imu: str, found: TemperatureDependence) -> str:
     parts = dict(found.parts())
     body, constants, after = "", "", ""
     for part, coefficients in parts.items():
-        triad, kind = part.split("_")
-        name = f"gnomon_{imu}_{triad}_{'' if kind == 'bias' else 'sensitivity_'}by_temperature"
+        triad, kind = part.split("_", 1)
+        name = f"gnomon_{imu}_{triad}_{'' if kind == 'bias' else f'{kind}_'}by_temperature"
         if kind == "bias":
             rows = ", ".join(map(_row, coefficients))
             constants += f"static const float {name}[{len(coefficients)}][3] = {{{rows}}};\n"
@@ -192,8 +200,9 @@ def _temperature_function(imu: str, found: TemperatureDependence) -> str:
         matrices = ", ".join("{" + ", ".join(map(_row, matrix)) + "}" for matrix in coefficients)
         constants += f"static const float {name}[{len(coefficients)}][3][3] = {{{matrices}}};\n"
         change = _polynomial(name, len(coefficients), "[i][j]")
-        after += _SENSITIVITY.format(imu=imu, triad=triad, change=change)
-    triads = dict.fromkeys(part.split("_")[0] for part in parts)
+        after += (_FELT if kind == "g_sensitivity" else _SENSITIVITY).format(imu=imu, triad=triad, change=change)
+    needed = ("accelerometer",) if found.gyroscope_g_sensitivity is not None else ()
+    triads = dict.fromkeys([*needed, *(part.split("_")[0] for part in parts)])
     return constants + _TEMPERATURE.format(
         imu=imu, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
         high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc),

@@ -71,17 +71,20 @@ def _over_temperature(calibration: Calibration, name: str, found: TemperatureDep
     """Yield the slopes at the reference of what changes with the temperature."""
     known = f"per kelvin at {found.reference_degc:.1f} °C, known from {found.low_degc:.1f} to {found.high_degc:.1f} °C"
     for part, coefficients in found.parts():
-        triad, kind = part.split("_")
+        triad, kind = part.split("_", 1)
         path = f"{name}.temperature.{part}"
         slopes, sigmas = coefficients[0], calibration.sigma(path)[0]
+        axes = AXES
         if kind == "sensitivity":
             slopes, sigmas = np.diagonal(slopes), np.diagonal(sigmas)
+        elif kind == "g_sensitivity":
+            axes = tuple(f"{row}{column}" for row in AXES for column in AXES)
         unit = element_units(calibration, path)[0]
         rows = [
             parameter_line(f"slope {axis}", float(slope), float(sigma), readable_unit(unit))
-            for axis, slope, sigma in zip(AXES, slopes, sigmas, strict=True)
+            for axis, slope, sigma in zip(axes, np.ravel(slopes), np.ravel(sigmas), strict=True)
         ]
-        what = "bias" if kind == "bias" else "scale"
+        what = {"bias": "bias", "sensitivity": "scale"}.get(kind, "g-sensitivity")
         note = f"{known}; of order {len(coefficients)}"
         yield ParameterGroup(f"{triad.capitalize()} {what} over the temperature", note, tuple(rows))
 

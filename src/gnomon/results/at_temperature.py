@@ -46,7 +46,11 @@ def imus_at_temperature(
             triad, _, kind = path.removeprefix(f"{name}.").partition(".")
             if triad in {"accelerometer", "gyroscope"} and kind in {"bias", "sensitivity", "g_sensitivity"}:
                 rows = [places[f"{path}[{','.join(map(str, index))}]"] for index in np.ndindex(value.shape)]
-                jacobian[rows] += _more(before, imu.temperature, (name, triad, kind), value, degc)
+                changed = value
+                if kind == "g_sensitivity":
+                    changed = value + _own_change(imu, degc)
+                    jacobian[rows] += _more_of_own(before, name, imu, degc)
+                jacobian[rows] += _more(before, imu.temperature, (name, triad, kind), changed, degc)
     return Moved(imus=moved, cameras=dict(cameras), jacobian=jacobian)
 
 
@@ -67,8 +71,36 @@ def _at(name: str, imu: ImuCalibration, degc: float) -> ImuCalibration:
         bias = sensor.bias + found.change(f"{triad}_bias", np.array([degc]))[0]
         changed[triad] = replace(sensor, sensitivity=larger @ sensor.sensitivity, bias=bias)
         if triad == "gyroscope":
-            changed[triad] = replace(changed[triad], g_sensitivity=larger @ sensor.g_sensitivity)
+            felt = larger @ (sensor.g_sensitivity + _own_change(imu, degc))
+            changed[triad] = replace(changed[triad], g_sensitivity=felt)
     return replace(imu, temperature=None, **changed)
+
+
+def _own_change(imu: ImuCalibration, degc: float) -> Floats:
+    """Return by how much the g-sensitivity changes by itself, (3, 3) [unit of the gyroscope per m/s^2]."""
+    if imu.temperature is None or imu.temperature.gyroscope_g_sensitivity is None:
+        return np.zeros((3, 3))
+    change = imu.temperature.change("gyroscope_g_sensitivity", np.array([degc]))[0]
+    return change @ imu.required_accelerometer.sensitivity
+
+
+def _more_of_own(before: Mapping[str, int], name: str, imu: ImuCalibration, degc: float) -> Floats:
+    """Return the derivative (9, n) of the g-sensitivity, (1 + D) (G + H S) with S of the accelerometer, by H and S."""
+    rows = np.zeros((9, len(before)))
+    found = imu.temperature
+    if found is None or found.gyroscope_g_sensitivity is None:
+        return rows
+    larger = np.eye(3) + found.change("gyroscope_sensitivity", np.array([degc]))[0]
+    by_sensitivity = larger @ found.change("gyroscope_g_sensitivity", np.array([degc]))[0]
+    sensitivity = imu.required_accelerometer.sensitivity
+    d = float(np.clip(degc, found.low_degc, found.high_degc)) - found.reference_degc
+    path = f"{name}.temperature.gyroscope_g_sensitivity"
+    for (r, c), row in zip(np.ndindex(3, 3), rows, strict=True):
+        for m in range(3):
+            row[before[f"{name}.accelerometer.sensitivity[{m},{c}]"]] = by_sensitivity[r, m]
+            for n, j in np.ndindex(3, len(found.gyroscope_g_sensitivity)):
+                row[before[f"{path}[{j},{n},{m}]"]] = larger[r, n] * d ** (j + 1) * sensitivity[m, c]
+    return rows
 
 
 def _more(

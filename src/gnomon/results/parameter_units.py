@@ -55,14 +55,14 @@ def parameter_unit(calibration: Calibrated, path: str) -> str:
     triad, parameter = rest.split(".")
     imu = calibration.imus[name]
     if triad == "temperature":
-        triad, parameter = parameter.split("_")
+        triad, parameter = parameter.split("_", 1)
     if parameter == "lever_arms_m":
         return "m"
     sensor = getattr(imu, triad)
     if parameter == "bias":
         return sensor.unit
     if ".temperature." in path:
-        return "1"
+        return "1" if parameter == "sensitivity" else unit_ratio(sensor.unit, imu.required_accelerometer.unit)
     physical = sensor.field_unit if triad == "magnetometer" else _SI[triad]
     return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else physical)
 

@@ -147,9 +147,11 @@ class TemperatureDependence:
 
         y(T) = bias + sum_j bias_j d^j + (1 + sum_j sensitivity_j d^j) (y - bias),    j = 1 to the order:
 
-    the sensitivities are relative changes, which also the g-sensitivity of a gyroscope takes part in. A part that does
-    not change is None. Of the six numbers by which an accelerometer alone tells its sensitivity those of body frame
-    accel-x change, at each temperature, and the gyroscope's are against that frame.
+    the sensitivities are relative changes, which also the g-sensitivity of a gyroscope takes part in. Where that
+    changes by itself, y of the gyroscope has sum_j g_sensitivity_j d^j (a - bias of a) in addition, with the reading a
+    that the accelerometer would have at the reference. A part that does not change is None. Of the six numbers by which
+    an accelerometer alone tells its sensitivity those of body frame accel-x change, at each temperature, and the
+    gyroscope's are against that frame.
 
     Attributes
     ----------
@@ -158,6 +160,7 @@ class TemperatureDependence:
     lag_s : by which the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x [s]
     accelerometer_bias, gyroscope_bias : (order, 3) [unit/K^j]
     accelerometer_sensitivity, gyroscope_sensitivity : (order, 3, 3) [1/K^j]
+    gyroscope_g_sensitivity : (order, 3, 3) [unit of the gyroscope per unit of the accelerometer and K^j]
     """
 
     reference_degc: float
@@ -168,6 +171,7 @@ class TemperatureDependence:
     gyroscope_bias: Floats | None = None
     accelerometer_sensitivity: Floats | None = None
     gyroscope_sensitivity: Floats | None = None
+    gyroscope_g_sensitivity: Floats | None = None
 
     def __post_init__(self) -> None:
         for name in TEMPERATURE_PARTS:
@@ -193,7 +197,7 @@ class TemperatureDependence:
 
         Returns
         -------
-        (k, 3) of a bias [its unit], (k, 3, 3) of a sensitivity, relative to it
+        (k, 3) of a bias [its unit], (k, 3, 3) of a sensitivity, relative to it, or of the g-sensitivity
         """
         coefficients: Floats | None = getattr(self, part)
         if coefficients is None:
@@ -226,6 +230,7 @@ TEMPERATURE_PARTS = FrozenMapping(
         "gyroscope_bias": (3,),
         "accelerometer_sensitivity": (3, 3),
         "gyroscope_sensitivity": (3, 3),
+        "gyroscope_g_sensitivity": (3, 3),
     }
 )
 """What a temperature may change, in the order of the covariance, and the shape of one coefficient."""
@@ -308,6 +313,7 @@ class ImuCalibration:
             the gyroscope's g-sensitivity needs it, or no temperature where the calibration needs it.
         """
         self._check_units(samples)
+        temperature = samples.temperature
         samples = self.at_reference(samples)
         accelerometer, gyroscope, magnetometer = samples.accelerometer, samples.gyroscope, samples.magnetometer
         if self.accelerometer is not None:
@@ -315,10 +321,8 @@ class ImuCalibration:
             t_ns = self.accelerometer.with_gyroscope(accelerometer.t_ns)
             accelerometer = TriadSamples(t_ns=t_ns, values=force, unit="m/s^2")
         if self.gyroscope is not None:
-            force = interpolate_triad(accelerometer, gyroscope) if self.gyroscope.g_sensitivity.any() else None
-            rate = self.gyroscope.angular_rate(
-                gyroscope.values, np.zeros((len(gyroscope), 3)) if force is None else force
-            )
+            force = interpolate_triad(accelerometer, gyroscope) if self.feels_force else np.zeros((len(gyroscope), 3))
+            rate = self.angular_rate(gyroscope, force, self.temperature_course(temperature))
             gyroscope = TriadSamples(t_ns=gyroscope.t_ns, values=rate, unit="rad/s")
         if self.magnetometer is not None and magnetometer is not None:
             field = self.magnetometer.magnetic_field(magnetometer.values)
@@ -327,6 +331,8 @@ class ImuCalibration:
 
     def at_reference(self, samples: ImuSamples) -> ImuSamples:
         """Return the samples as they would be at the reference temperature; as they are where nothing depends on it.
+
+        What the g-sensitivity changes by itself needs the specific force, and is left to `angular_rate`.
 
         Raises
         ------
@@ -367,6 +373,28 @@ class ImuCalibration:
         values = self.temperature.to_reference(name, stream.values, course.at(stream.t_ns), triad.bias)
         return replace(stream, values=values)
 
+    @property
+    def feels_force(self) -> bool:
+        """Whether the gyroscope's readings depend on the specific force, at any temperature."""
+        changes = self.temperature is not None and self.temperature.gyroscope_g_sensitivity is not None
+        return self.gyroscope is not None and (changes or bool(self.gyroscope.g_sensitivity.any()))
+
+    def angular_rate(self, stream: TriadSamples, force: Floats, course: TemperatureCourse | None) -> Floats:
+        """Return the angular rate (n, 3) [rad/s] of readings at the reference, but for what changes the g-sensitivity.
+
+        Parameters
+        ----------
+        force : (n, 3) specific force, body frame [m/s^2]
+        course : of the temperature; None where nothing depends on it
+        """
+        assert self.gyroscope is not None
+        values, found = stream.values, self.temperature
+        if course is not None and found is not None and found.gyroscope_g_sensitivity is not None:
+            change = found.change("gyroscope_g_sensitivity", course.at(stream.t_ns))
+            readings = force @ self.required_accelerometer.sensitivity.T
+            values = values - (change @ readings[:, :, None])[:, :, 0]
+        return self.gyroscope.angular_rate(values, force)
+
     def _check_units(self, samples: ImuSamples) -> None:
         pairs = (
             (self.accelerometer, samples.accelerometer),
@@ -379,7 +407,7 @@ class ImuCalibration:
                     f"the calibration is for measurements in {triad.unit}, the samples are in {stream.unit}. "
                     "Read the recording with the units that it had when it was calibrated (--units)."
                 )
-        if self.gyroscope is None or not self.gyroscope.g_sensitivity.any() or not len(samples.gyroscope):
+        if not self.feels_force or not len(samples.gyroscope):
             return
         for missing, whose in ((self.accelerometer is None, "calibration"), (not samples.accelerometer, "recording")):
             if missing:

@@ -60,6 +60,8 @@ def simulate_temperature(scenario: TemperatureScenario, seed: int = 0) -> Temper
             )
             for triad in _SIZES
         }
+    if scenario.turned and scenario.g_sensitivity:
+        parts["gyroscope_g_sensitivity"] = scenario.g_sensitivity * rng.standard_normal((1, 3, 3))
     truth = TemperatureDependence(
         reference_degc=reference, low_degc=low - _MARGIN_K, high_degc=high + _MARGIN_K, lag_s=scenario.lag_s, **parts
     )
@@ -84,7 +86,10 @@ def _turned(
     degc: list[Floats] = []
     sensor = None
     for seed, at in zip(seeds, np.linspace(scenario.start_degc, scenario.end_degc, len(seeds)), strict=True):
-        plain = Scenario(intervals=scenario.intervals, t_init_s=20.0, rate_hz=scenario.rate_hz, sensor_seed=seeds[0])
+        plain = Scenario(
+            intervals=scenario.intervals, t_init_s=20.0, rate_hz=scenario.rate_hz, sensor_seed=seeds[0],
+            g_sensitivity=300 * scenario.g_sensitivity,
+        )  # fmt: skip
         made, known = simulate_imu(plain, seed)
         samples, sensor = made.imus["imu0"], known.imus["imu0"]
         t_s = samples.gyroscope.t_s
@@ -92,9 +97,13 @@ def _turned(
         degc.append(course)
         turn_on = {"gyroscope": scenario.gyroscope_turn_on, "accelerometer": scenario.accelerometer_turn_on}
         triads: dict[str, TriadSamples] = {}
+        assert sensor.accelerometer is not None
+        felt = truth.change("gyroscope_g_sensitivity", course)
+        felt = felt @ (samples.accelerometer.values - sensor.accelerometer.bias)[:, :, None]
         for name in ("accelerometer", "gyroscope"):
             triad, bias = getattr(samples, name), getattr(sensor, name).bias
             values = triad.values + (triad.values - bias) @ _change(name, scenario.sensitivity_scatter, rng, 1.0).T
+            values = values + (felt[:, :, 0] if name == "gyroscope" else 0.0)
             values = truth.from_reference(name, values, course, bias) + turn_on[name] * rng.standard_normal(3)
             triads[name] = TriadSamples(t_ns=triad.t_ns, values=values, unit=triad.unit)
         read = _thermometer(scenario, samples.gyroscope.t_ns, course, rng)

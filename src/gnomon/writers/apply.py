@@ -22,6 +22,7 @@ from ..progress import Progress
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
 from ..readers.samples.stream import BlockRows, open_stream, read_thermometer, stream_of
 from ..recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
+from ..recording.thermometer import TemperatureCourse
 from ..results.calibration import ImuCalibration
 from ..units import Units
 
@@ -83,8 +84,8 @@ def apply_files(
             return TemperatureSamples(t_ns=np.array([0, 1_000_000_000]), values=np.full(2, temperature_c), unit="degC")
         return read_thermometer(*paths, columns=columns, rate_hz=rate_hz, units=units, imu=imu)
 
-    stream = _at_reference(calibration, stream, thermometer, strict=strict, warn=warn)
-    return write_calibrated(calibration, stream, output)
+    stream, course = _at_reference(calibration, stream, thermometer, strict=strict, warn=warn)
+    return write_calibrated(calibration, stream, output, course)
 
 
 def apply_recording(
@@ -111,8 +112,10 @@ def apply_recording(
     if imu not in recording.imus:
         raise RecordingError(f"no {imu} in this recording. Found: {', '.join(recording.imus)}.")
     samples = recording.imus[imu]
-    stream = _at_reference(calibration, stream_of(samples), lambda: samples.temperature, strict=strict, warn=warn)
-    return write_calibrated(calibration, stream, output)
+    stream, course = _at_reference(
+        calibration, stream_of(samples), lambda: samples.temperature, strict=strict, warn=warn
+    )
+    return write_calibrated(calibration, stream, output, course)
 
 
 _NEAR_K = 0.5
@@ -126,8 +129,8 @@ def _at_reference(
     *,
     strict: bool,
     warn: Progress,
-) -> SampleStream:
-    """Return a stream as it would be at the reference temperature; as it is where nothing depends on that.
+) -> tuple[SampleStream, TemperatureCourse | None]:
+    """Return a stream as it would be at the reference temperature, and the temperature; None where nothing needs it.
 
     Parameters
     ----------
@@ -135,7 +138,7 @@ def _at_reference(
     """
     found = calibration.temperature
     if found is None or not found.changes:
-        return stream
+        return stream, None
     course = calibration.temperature_course(thermometer())
     assert course is not None
     outside = np.mean((course.degc < found.low_degc - _NEAR_K) | (course.degc > found.high_degc + _NEAR_K))
@@ -151,11 +154,20 @@ def _at_reference(
             yield calibration.triad_at_reference(name, block, course)
 
     there = {name: blocks for name in TRIADS if (blocks := getattr(stream, name)) is not None}
-    return replace(SampleStream(), **{name: corrected(name, blocks) for name, blocks in there.items()})
+    return replace(SampleStream(), **{name: corrected(name, blocks) for name, blocks in there.items()}), course
 
 
-def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: str | PathLike[str]) -> int:
-    """Write calibrated samples of a stream and return the number of rows.
+def write_calibrated(
+    calibration: ImuCalibration,
+    stream: SampleStream,
+    output: str | PathLike[str],
+    course: TemperatureCourse | None = None,
+) -> int:
+    """Write calibrated samples of a stream, which is at the reference temperature, and return the number of rows.
+
+    Parameters
+    ----------
+    course : of the temperature; None where nothing depends on it
 
     Raises
     ------
@@ -175,7 +187,7 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
     count = 0
     with atomic_file(output) as file:
         file.write((",".join(("t_ns", *names)) + "\n").encode())
-        for t_ns, values in calibrated_blocks(calibration, stream):
+        for t_ns, values in calibrated_blocks(calibration, stream, course):
             # JSON in place of repr: as exact, and five times as fast
             stamps = orjson.dumps(t_ns, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
             rows = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[2:-2].split(b"],[")
@@ -184,7 +196,9 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
     return count
 
 
-def calibrated_blocks(calibration: ImuCalibration, stream: SampleStream) -> Iterator[tuple[Integers, Floats]]:
+def calibrated_blocks(
+    calibration: ImuCalibration, stream: SampleStream, course: TemperatureCourse | None = None
+) -> Iterator[tuple[Integers, Floats]]:
     """Yield timestamps (k,) [ns] and, of what was calibrated and recorded, rate, force and field, (k, 3 n)."""
     there = _triads(calibration, stream)
     first = next(name for name in ("gyroscope", "accelerometer", "magnetometer") if name in there)
@@ -203,7 +217,7 @@ def calibrated_blocks(calibration: ImuCalibration, stream: SampleStream) -> Iter
         _check_unit(gyroscope.unit, block)
         others = {name: other.at(block.t_ns) for name, other in beside.items()}
         acting = others.get("accelerometer", np.zeros((len(block), 3)))
-        yield block.t_ns, np.column_stack([gyroscope.angular_rate(block.values, acting), *others.values()])
+        yield block.t_ns, np.column_stack([calibration.angular_rate(block, acting, course), *others.values()])
 
 
 def _triads(calibration: ImuCalibration, stream: SampleStream) -> dict[str, Blocks]:
@@ -216,8 +230,7 @@ def _triads(calibration: ImuCalibration, stream: SampleStream) -> dict[str, Bloc
             "Give the recording of the same sensor, or name its columns (--columns)."
         )
     _check_force(calibration)
-    feels = calibration.gyroscope is not None and calibration.gyroscope.g_sensitivity.any()
-    if feels and "gyroscope" in there and "accelerometer" not in there:
+    if calibration.feels_force and "gyroscope" in there and "accelerometer" not in there:
         raise FormatError(
             "the gyroscope's g-sensitivity needs the specific force, and this recording holds no accelerometer. "
             "Record it too, or calibrate with --model basic."
@@ -227,8 +240,7 @@ def _triads(calibration: ImuCalibration, stream: SampleStream) -> dict[str, Bloc
 
 def _check_force(calibration: ImuCalibration) -> None:
     """Refuse a g-sensitivity without an accelerometer."""
-    gyroscope = calibration.gyroscope
-    if gyroscope is not None and gyroscope.g_sensitivity.any() and calibration.accelerometer is None:
+    if calibration.feels_force and calibration.accelerometer is None:
         raise FormatError(
             "the gyroscope's g-sensitivity needs the specific force, and this calibration holds no accelerometer. "
             "Calibrate both together, or the gyroscope with --model basic."

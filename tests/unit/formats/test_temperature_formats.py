@@ -11,6 +11,7 @@ import pytest
 
 import gnomon
 from gnomon.formats.foreign_files import load_any
+from gnomon.formats.shared.si_units import with_full_scale
 from gnomon.recording import ImuSamples, TemperatureSamples, TriadSamples
 from gnomon.results.at_temperature import imus_at_temperature
 from gnomon.results.calibration import Covariance, calibration_parameters, covariance_names
@@ -26,6 +27,7 @@ FOUND = TemperatureDependence(
     gyroscope_bias=np.array([[1e-4, 2e-4, -3e-4], [1e-6, -2e-6, 3e-6], [4e-8, 5e-8, -6e-8]]),
     accelerometer_sensitivity=np.tril(np.array([[[2e-4, 0, 0], [1e-5, -1e-4, 0], [2e-5, -3e-5, 3e-4]]])),
     gyroscope_sensitivity=np.array([1e-4 * np.eye(3) + 1e-5, 2e-6 * np.eye(3) - 1e-7]),
+    gyroscope_g_sensitivity=np.array([[[3e-6, -1e-6, 2e-6], [4e-7, -5e-6, 1e-6], [2e-6, 1e-6, 6e-6]]]),
 )
 DEGC = np.array([-20.0, -5.0, 0.0, 22.0, 40.0, 51.5, 80.0])
 
@@ -161,13 +163,44 @@ def test_the_c_header_takes_off_the_same(calibration, tmp_path):
         cwd=tmp_path, check=True,
     )  # fmt: skip
     run = ctypes.CDLL(str(tmp_path / "run.so")).run
+    imu = calibration.imus["imu0"]
     for degc in DEGC:
         accelerometer, gyroscope = (ctypes.c_float * 3)(0, 0, 0), (ctypes.c_float * 3)(0, 0, 0)
         run(accelerometer, gyroscope, ctypes.c_float(degc))
-        imu = calibration.imus["imu0"]
-        for values, name in ((accelerometer, "accelerometer"), (gyroscope, "gyroscope")):
-            wanted = FOUND.to_reference(name, np.zeros((1, 3)), np.array([degc]), getattr(imu, name).bias)
-            assert np.allclose(np.array(values), wanted[0], rtol=2e-6, atol=1e-7 * abs(wanted).max())
+        force, rate = (
+            FOUND.to_reference(name, np.zeros((1, 3)), np.array([degc]), getattr(imu, name).bias)[0]
+            for name in ("accelerometer", "gyroscope")
+        )
+        rate = rate - FOUND.change("gyroscope_g_sensitivity", np.array([degc]))[0] @ (force - imu.accelerometer.bias)
+        for values, wanted in ((accelerometer, force), (gyroscope, rate)):
+            assert np.allclose(np.array(values), wanted, rtol=2e-6, atol=1e-7 * abs(wanted).max())
+
+
+def test_counts_that_a_driver_divides_keep_their_temperature(calibration):
+    """A count is a g over 2048 and a deg/s over 16.4: what the temperature changes is divided along."""
+    imu, per_g, per_deg_s = calibration.imus["imu0"], 2048.0, 16.4
+    counts = {"accelerometer": per_g / 9.80665, "gyroscope": per_deg_s * 180 / np.pi}
+    triads = {}
+    for name, factor in counts.items():
+        triad = getattr(imu, name)
+        more = {"g_sensitivity": factor * triad.g_sensitivity} if name == "gyroscope" else {}
+        scaled = {"sensitivity": factor * triad.sensitivity, "bias": factor * triad.bias, "unit": "count"}
+        triads[name] = replace(triad, **scaled, **more)
+    found = replace(
+        FOUND,
+        accelerometer_bias=counts["accelerometer"] * FOUND.accelerometer_bias,
+        gyroscope_bias=counts["gyroscope"] * FOUND.gyroscope_bias,
+        gyroscope_g_sensitivity=counts["gyroscope"] / counts["accelerometer"] * FOUND.gyroscope_g_sensitivity,
+    )
+    raw = replace(calibration, imus={"imu0": replace(imu, temperature=found, **triads)})
+    back = with_full_scale(raw, per_g, per_deg_s)
+    there = back.imus["imu0"].temperature
+    assert np.allclose(there.accelerometer_bias * 9.80665, FOUND.accelerometer_bias, rtol=1e-12)
+    assert np.allclose(there.gyroscope_bias * np.pi / 180, FOUND.gyroscope_bias, rtol=1e-12)
+    per = np.pi / 180 / 9.80665
+    assert np.allclose(there.gyroscope_g_sensitivity * per, FOUND.gyroscope_g_sensitivity, rtol=1e-12)
+    ratio = back.sigma("imu0.temperature.gyroscope_bias") / raw.sigma("imu0.temperature.gyroscope_bias")
+    assert np.allclose(ratio, 1 / per_deg_s, rtol=1e-12)
 
 
 def test_flight_controllers_say_that_they_know_biases_alone(calibration, tmp_path):

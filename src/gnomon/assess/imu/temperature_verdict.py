@@ -42,6 +42,7 @@ def temperature_findings(result: TemperatureResult, thermometers: Sequence[Findi
         if (off := _off(triad)) is not None:
             axis, recording, z = off
             findings.append(make_finding("sensitivities-differ", name=name, axis=axis, recording=recording, z=z))
+    findings += _felt_findings(result)
     if (fall := _fall(result)) is not None:
         kind = "beyond" if low < _COLDEST_DEGC else "cools"
         findings.append(make_finding(f"temperature-falls/{kind}", fall=fall, low=low, high=high))
@@ -100,6 +101,30 @@ def _sensitivity_finding(name: str, triad: TriadOverTemperature, result: Tempera
     change = max(float(np.ptp(axis.change)) for axis in triad.axes)
     sigma = max(float(np.hypot(axis.sigma[0], axis.sigma[-1])) for axis in triad.axes)
     return make_finding("temperature-scale/found", name=name, order=triad.order, change=change, sigma=sigma, range=span)
+
+
+def _felt_findings(result: TemperatureResult) -> list[Finding]:
+    """Say by how much the gyroscope's g-sensitivity changes, where it does."""
+    name, imu = next(iter(result.calibration.imus.items()))
+    found = imu.temperature
+    if found is None or found.gyroscope_g_sensitivity is None or imu.gyroscope is None:
+        return []
+    ends = found.change("gyroscope_g_sensitivity", np.array([result.low_degc, result.high_degc]))
+    change = np.abs(ends[1] - ends[0])
+    worst = np.unravel_index(int(np.argmax(change)), change.shape)
+    order, span = len(found.gyroscope_g_sensitivity), result.high_degc - result.low_degc
+    slope = result.calibration.sigma(f"{name}.temperature.gyroscope_g_sensitivity")[(0, *worst)]
+    readings = np.cbrt(np.abs(np.linalg.det(imu.required_accelerometer.sensitivity)))
+    per_si = 1e3 * readings / np.cbrt(np.abs(np.linalg.det(imu.gyroscope.sensitivity)))
+    return [
+        make_finding(
+            "temperature-g-sensitivity",
+            change=float(per_si * change[worst]),
+            sigma=float(per_si * span * slope),
+            order=order,
+            range=span,
+        )
+    ]
 
 
 def _per_range(triad: TriadOverTemperature) -> list[float]:

@@ -411,7 +411,7 @@ def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequen
 def _powers_gain(
     whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int], price: Floats
 ) -> tuple[float, list[int]]:
-    """Return what powers of the temperature raise the log-likelihood beyond their price together, and which these are."""
+    """Return what powers of the temperature raise the log-likelihood beyond their price, and which these are."""
     powers = [k for k, kind in enumerate(candidates.kind) if kind == "temperature"]
     each = [_gains(whitened, candidates, [*taken, *powers[:i]])[k] for i, k in enumerate(powers)]
     gains = np.cumsum(np.array(each) - price)

@@ -128,6 +128,7 @@ _TEMPERATURE = """\
 # for d^j, gyroscope_bias and accelerometer_bias (unit/K^j) are added to the bias, from low_degc to high_degc; beyond
 # at the nearer end. What is beside the bias is multiplied by 1 + the sum of gyroscope_sensitivity and
 # accelerometer_sensitivity (1/K^j) in the same way: measured = (1 + D) (sensitivity @ f) + bias.
+# gyroscope_g_sensitivity times what the accelerometer reads at the reference, less its bias, is added before that.
 # lag_s: the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x, in s.
 #
 """
@@ -204,6 +205,7 @@ def _minor(calibration: Calibration) -> int:
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
     trust = calibration.assessment.trust
     asks = {
+        8: _with_felt_temperature(calibration),
         7: _with_temperature(calibration),
         6: _tells_of_occasions(trust) or trust.changes or _with_origin(calibration),
         4: not calibration.imus,
@@ -242,6 +244,11 @@ def _with_shifted_accelerometer(calibration: Calibration) -> bool:
 
 def _with_temperature(calibration: Calibration) -> bool:
     return any(imu.temperature is not None for imu in calibration.imus.values())
+
+
+def _with_felt_temperature(calibration: Calibration) -> bool:
+    warm = [imu.temperature for imu in calibration.imus.values()]
+    return any(found is not None and found.gyroscope_g_sensitivity is not None for found in warm)
 
 
 def _tells_of_occasions(trust: UncertaintySummary) -> bool:

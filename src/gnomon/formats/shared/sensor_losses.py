@@ -131,7 +131,7 @@ def _temperature_losses(name: str, found: TemperatureDependence, holds: Holds) -
         why = f"{holds.program} takes the thermometer's reading, which follows the sensor by {found.lag_s:.0f} s."
         yield Loss(what=f"lag of the thermometer of {name}", why=why)
     if not holds.temperature_scale and any(part.endswith("_sensitivity") for part in parts):
-        only = f"Scales and axes are right at {found.reference_degc:g} degC; gnomon apply and the C header know all."
+        only = f"All else is right at {found.reference_degc:g} degC; gnomon apply and the C header know all."
         yield Loss(
             what=f"sensitivity over the temperature of {name}", why=f"{holds.program} knows that of biases. {only}"
         )

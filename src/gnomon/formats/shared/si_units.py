@@ -152,8 +152,15 @@ def with_full_scale(
             if lsb is None or not _counts(found):
                 continue
             imus[name] = replace(imus[name], **{triad: _divided(found, lsb, _UNITS[triad])})
-            blocks = tuple(f"{name}.{triad}.{block}" for block in ("sensitivity", "bias", "g_sensitivity"))
-            factors[[path.partition("[")[0] in blocks for path in calibration.uncertainty.names]] = 1 / lsb
+            per_lsb = {f"{name}.{triad}.{block}": 1 / lsb for block in ("sensitivity", "bias", "g_sensitivity")}
+            of_temperature = {f"{triad}_bias": 1 / lsb, f"{triad}_g_sensitivity": 1 / lsb}
+            if triad == "accelerometer":  # by whose readings the gyroscope's is stated
+                of_temperature["gyroscope_g_sensitivity"] = lsb
+            if (warm := imus[name].temperature) is not None:
+                changed = {part: of_temperature[part] * old for part, old in warm.parts() if part in of_temperature}
+                imus[name] = replace(imus[name], temperature=replace(warm, **changed))
+            per_lsb |= {f"{name}.temperature.{part}": factor for part, factor in of_temperature.items()}
+            factors *= [per_lsb.get(path.partition("[")[0], 1.0) for path in calibration.uncertainty.names]
     uncertainty = Covariance(
         names=calibration.uncertainty.names, matrix=calibration.uncertainty.matrix * np.outer(factors, factors)
     )

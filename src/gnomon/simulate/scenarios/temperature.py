@@ -49,6 +49,9 @@ class TemperatureScenario:
     sensitivity: float = 1e-4
     """Usual size of their first coefficients, relative, in 1/K."""
 
+    g_sensitivity: float = 0.0
+    """The same of the gyroscope's g-sensitivity, to first order, in rad/s per m/s^2 and K; it is 300 times as large."""
+
     sensitivity_scatter: float = 1.5e-4
     """Scatter of scales, and of misalignments in rad, from one switching-on to the next, as of eight MPU-9150."""
 
@@ -87,8 +90,8 @@ class TemperatureScenario:
         check_ranges(
             self,
             positive=positive,
-            not_negative="order sensitivity_order sensitivity sensitivity_scatter self_heating_k lag_s step_k "
-            "thermometer_noise gyroscope_turn_on accelerometer_turn_on gyroscope_white_noise "
+            not_negative="order sensitivity_order sensitivity g_sensitivity sensitivity_scatter self_heating_k lag_s "
+            "step_k thermometer_noise gyroscope_turn_on accelerometer_turn_on gyroscope_white_noise "
             "accelerometer_white_noise gyroscope_bias_instability",
         )
         if max(self.order, self.sensitivity_order) > 3:
