@@ -270,3 +270,50 @@ def test_a_warm_up_that_is_not_over_is_told_with_how_long_to_wait(table, run, tm
     told = " ".join(out.split())
     assert "by its course" in told
     assert "s longer before recording" in told
+
+
+@pytest.mark.parametrize("seed", [9021, 77])
+def test_rests_of_a_turned_sensor_are_those_that_the_others_find(seed, run, tmp_path):
+    """Commands ask one function; their words and counts agree, also where rests are left out."""
+    recording, _ = gnomon.simulate(gnomon.Scenario(intervals=24), seed)
+    imu = recording.imus["imu0"]
+    shaken = imu.accelerometer.values.copy()
+    third = slice(int(0.6 * len(shaken)), int(0.75 * len(shaken)))
+    shaken[third] += np.random.default_rng(seed).normal(scale=0.6, size=shaken[third].shape)  # a motor runs
+    table = np.column_stack([imu.accelerometer.t_s, shaken, imu.gyroscope.values])
+    path = write_npz(tmp_path / "turned.npz", table)
+    findings = gnomon.check(gnomon.read(path))
+    told = {one.code: one.message for one in findings if one.code in ("attitudes", "intervals-left-out")}
+    assert len(told) == 2
+    code, _, err = run("noise", path)
+    assert code == 3
+    assert all(one in " ".join(err.split()) for one in told.values())
+    found = gnomon.calibrate_imu(gnomon.read(path)).calibration.assessment
+    assert f" {found.intervals_found} rests " in told["attitudes"]
+    assert f" {found.intervals_used} of them usable" in told["attitudes"]
+    assert found.intervals_found > found.intervals_used
+
+
+def test_the_stretch_to_keep_is_a_rest_and_counted_from_the_start(table, run, tmp_path):
+    moved = shaken(table.copy())  # at 800 s
+    path = write_npz(tmp_path / "knocked.npz", moved)
+    for options in ((), ("--start-s", 200)):
+        code, _, err = run("noise", path, *options)
+        assert code == 3
+        start, stop = (float(err.split(name)[1].split()[0].rstrip(").,")) for name in ("--start-s ", "--stop-s "))
+        assert (start, stop) == (pytest.approx(807, abs=4), pytest.approx(1799, abs=2))
+        code, _, err = run("noise", path, "--start-s", start, "--stop-s", stop, "--no-report")
+        assert code == 0, err
+
+
+def test_isolated_readings_are_left_out(table, run, tmp_path):
+    spoilt = table.copy()
+    spoilt[500::2500, 5] = 30.0
+    found = []
+    for name, values in (("right", table), ("spoilt", spoilt)):
+        code, _, err = run("noise", write_npz(tmp_path / f"{name}.npz", values), "--no-report")
+        assert code == 0, err
+        found.append(load_noise(tmp_path / f"{name}-noise" / "noise.yaml"))
+    codes = [{one.code for one in noise.findings} for noise in found]
+    assert codes[1] - codes[0] == {"isolated-readings"}
+    assert found[1].gyroscope.noise_density == pytest.approx(found[0].gyroscope.noise_density, rel=2e-3)

@@ -52,6 +52,14 @@ _EXPLAINS: dict[str, frozenset[str]] = {
             *("uncertainty-gyroscope", "parts-disagree", "model-incomplete"),
         }
     ),
+    "axes-changed": frozenset(
+        {
+            *_BENT,
+            *("axes-differ", "sensor-changed", "intervals-left-out", "holdout-accelerometer", "holdout-rotation"),
+            *("not-observable", "parameter-changed", "rotations-left-out", "beyond-noise", "static-start"),
+            *("uncertainty-accelerometer", "uncertainty-gyroscope", "parts-disagree", "model-incomplete"),
+        }
+    ),
     "rotation-breaks": _BENT | {"not-observable", "parameter-changed", "frames-late", "board-moved", "distortion"},
     "axes-differ": _BENT | {"triads-apart"},
     "axes-mirrored": _BENT | {"triads-apart"},

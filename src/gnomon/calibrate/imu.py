@@ -11,6 +11,7 @@ import numpy as np
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
 from ..assess.changes import with_changes
+from ..assess.imu.axes_changed import axes_changed_findings
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
 from ..assess.prior_findings import prior_findings
@@ -127,6 +128,7 @@ def calibrate_imu(
         readings = _readings(prepared, detection.chosen, options, lag_s=fit.temperature.lag_s)
         fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
     tell("assessing the result")
+    prepared = replace(prepared, findings=(*prepared.findings, *readings.noticed))
     return _assess(recording, prepared, fit, known=known, gravity=gravity, options=options)
 
 
@@ -153,6 +155,7 @@ class _Readings:
     course : of the accelerometer's bias over the time, see `accelerometer_course`
     reference_degc : mean temperature at rest [degC]; None where it did not both rise and fall
     lag_s : of the thermometer, which is undone in the temperature [s]
+    noticed : what all intervals, also those that were disturbed, show of axes that changed
     """
 
     problem: MultiPositionProblem
@@ -161,6 +164,7 @@ class _Readings:
     course: BiasChanges
     reference_degc: float | None
     lag_s: float
+    noticed: list[Finding]
 
 
 def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0) -> _Readings:
@@ -179,8 +183,15 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
     changes, functions = accelerometer_course(at_rest)
     touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
+    whole = _problem(prepared, at_rest, np.zeros_like(touched), options)[0] if touched.any() else problem
     return _Readings(
-        problem=problem, streams=streams, touched=touched, course=changes, reference_degc=reference, lag_s=lag_s
+        problem=problem,
+        streams=streams,
+        touched=touched,
+        course=changes,
+        reference_degc=reference,
+        lag_s=lag_s,
+        noticed=axes_changed_findings(whole),
     )
 
 

@@ -13,7 +13,7 @@ from ..assess.checks.doctor import check_field_samples
 from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
-from ..detect.samples.repair import drop_repeated_timestamps
+from ..detect.samples.repair import repair_samples
 from ..detect.samples.saturation import saturated_samples
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
@@ -99,7 +99,7 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
     assert imu.magnetometer is not None
     findings = _checked(imu.magnetometer, f"{name} magnetometer")
     findings += [make_finding("assumed", text=sentence) for sentence in recording.assumptions]
-    magnetometer = drop_repeated_timestamps(imu.magnetometer)
+    magnetometer = repair_samples(imu.magnetometer)
     accelerometer, more = _usable_accelerometer(imu.accelerometer, f"{name} accelerometer")
     origin = int(magnetometer.t_ns[0])
     if accelerometer is not None:
@@ -144,7 +144,7 @@ def _usable_accelerometer(samples: TriadSamples, label: str) -> tuple[TriadSampl
     findings = check_field_samples(samples, label)
     wrong = [finding for finding in findings if finding.severity == "problem"]
     if not wrong:
-        return drop_repeated_timestamps(samples), [finding for finding in findings if finding.severity != "good"]
+        return repair_samples(samples), [finding for finding in findings if finding.severity != "good"]
     consequence = "The accelerometer is not used; the magnetometer is calibrated in a frame of its own."
     return None, [replace(wrong[0], severity="warning", consequence=consequence)]
 

@@ -5,6 +5,7 @@ samples, block by block -> Allan sums and windows -> was it still? -> fit of eve
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from functools import cache, partial
 from math import nan, sqrt
 from pathlib import Path
 
@@ -12,13 +13,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.checks.signals import copied_stretches
+from ..assess.checks.protocol import TELLS_RESTS, check_protocol, find_imu_rests
+from ..assess.checks.signals import copied_stretches, isolated_finding
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
-from ..assess.imu.noise_verdict import assess_noise, check_length, check_samples, check_still
+from ..assess.imu.noise_verdict import StillSpans, assess_noise, check_length, check_samples, check_still
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..detect.samples.noise import averaging_time
+from ..detect.samples.repair import isolated_readings, without_readings
 from ..detect.samples.repeats import RepeatWatch
 from ..detect.samples.rest import RestTable, RestWatch
 from ..errors import RecordingError
@@ -36,7 +39,7 @@ from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
 from ..readers.samples.stream import open_stream, read_thermometer, stream_of
-from ..recording import Floats, Recording, Source, TemperatureSamples, TriadSamples, smallest_steps
+from ..recording import Floats, ImuSamples, Recording, Source, TemperatureSamples, TriadSamples, smallest_steps
 from ..results.calibration import Provenance
 from ..results.sensor_noise import (
     SENSOR_UNITS,
@@ -96,11 +99,15 @@ def identify_noise(
     findings: list[Finding] = [note for triad in triads.values() for note in triad.notes]
     findings += _warmth(thermometer, options)
     tables = {name: triad.table for name, triad in triads.items()}
+    find_rests = cache(partial(_rests, triads))
     for name, triad in triads.items():
         check_length(tables[name], name)
-        findings += check_still(tables[name], name, dead_windows(tables[name], triad.step))
+        findings += check_still(tables[name], name, dead_windows(tables[name], triad.step), find_rests)
         findings += check_samples(tables[name], triad.step, name)
         findings += copied_stretches(*triad.repeats.copies(), name)
+        if triad.isolated:
+            at_s = np.concatenate(triad.isolated)
+            findings.append(isolated_finding(at_s, len(at_s) / triad.watch.samples, name))
     tell("fitting the Allan variance")
     steady: dict[str, Stationarity] = {}
     with threadpool_limits(1, user_api="blas"):
@@ -128,6 +135,26 @@ def identify_noise(
             for name, triad in triads.items()
         },
         topic=options.topic,
+    )
+
+
+def _rests(triads: dict[str, "_Triad"]) -> StillSpans | None:
+    """Return the rests as `gnomon check` finds them; None without an accelerometer."""
+    if "accelerometer" not in triads:
+        return None
+    nothing = TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit=SENSOR_UNITS["gyroscope"])
+    gyroscope = triads["gyroscope"].watch.thinned() if "gyroscope" in triads else nothing
+    imu = ImuSamples(accelerometer=triads["accelerometer"].watch.thinned(), gyroscope=gyroscope)
+    detection = find_imu_rests(imu)
+    if detection is None:
+        return None
+    found = detection.chosen.rests.found.where(detection.chosen.rests.used)
+    t_s = np.asarray(imu.accelerometer.t_ns - (triads["accelerometer"].watch.origin_ns or 0), np.float64) * 1e-9
+    told = check_protocol(imu, "imu0", detection)
+    return StillSpans(
+        start_s=t_s[found.start],
+        stop_s=t_s[found.stop - 1],
+        words=" ".join(one.message for one in told if one.code in TELLS_RESTS),
     )
 
 
@@ -176,6 +203,7 @@ class _Triad:
     def __init__(self, name: str, options: NoiseOptions) -> None:
         self.name = name
         self.sums, self.watch, self.repeats = AllanSums(), RestWatch(), RepeatWatch()
+        self.isolated = list[Floats]()
         self.notes: list[Finding] = []
         self.step = np.full(3, np.nan)
         self._options = options
@@ -187,13 +215,17 @@ class _Triad:
         if not len(block):
             return True
         if self._origin is None:
-            self._origin = int(block.t_ns[0])
+            self._origin = self.watch.origin_ns = int(block.t_ns[0])
             self._factor = self._unit(block)
             self.step = smallest_steps(block.values) * self._factor
         t_s: Floats = np.multiply(block.t_ns - self._origin, 1e-9, dtype=np.float64)
         stop_s = np.inf if self._options.stop_s is None else self._options.stop_s
         kept = slice(*np.searchsorted(t_s, [self._options.start_s, stop_s]).tolist())
         values = block.values[kept] * self._factor
+        at = isolated_readings(values)
+        if len(at):
+            values = without_readings(values, at)
+            self.isolated.append(t_s[kept][at])
         self.watch.add(TriadSamples(t_ns=block.t_ns[kept], values=values, unit=SENSOR_UNITS[self.name]))
         if self.watch.backward is not None:
             raise RecordingError(

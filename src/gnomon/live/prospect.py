@@ -11,7 +11,7 @@ from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream
-from ..detect.samples.repair import drop_repeated_timestamps
+from ..detect.samples.repair import repair_samples
 from ..detect.samples.saturation import saturated_samples
 from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
@@ -102,7 +102,7 @@ def _unlike(up: Floats) -> Floats:
 
 
 def _problem_of(imu: ImuSamples, saturated: Booleans, still: StaticIntervals) -> MultiPositionProblem:
-    accelerometer, gyroscope = imu.accelerometer, drop_repeated_timestamps(imu.gyroscope)
+    accelerometer, gyroscope = imu.accelerometer, repair_samples(imu.gyroscope)
     origin = int(accelerometer.t_ns[0])
     t_a, t_g = (np.asarray(1e-9 * (one.t_ns - origin), np.float64) for one in (accelerometer, gyroscope))
     at_rest = gyroscope_intervals(t_g, t_a[still.start], t_a[still.stop - 1])

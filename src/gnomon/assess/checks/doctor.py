@@ -146,7 +146,7 @@ def _lag(pushed: Floats, turned: Floats) -> tuple[float, float, float]:
     return float(lags[best]) * _GRID_S, float(score[best]), float(score[most])
 
 
-_OF_VALUES = {"saturation", "samples-stuck", "samples-repeated"}
+_OF_VALUES = {"isolated-readings", "saturation", "samples-stuck", "samples-repeated"}
 
 
 def check_magnetometers(recording: Recording) -> list[Finding]:
@@ -190,10 +190,10 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     window_s, multiplier : of the static detector, see `ImuOptions`
 
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
-    rate, rate-changed, jitter, gaps; signal-constant, axis-constant, axis-stuck, saturation, samples-stuck,
-    samples-repeated, samples-skipped; samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude,
-    range-changed, never-static, rests-unsteady, always-static, attitudes, intervals-left-out, static-start,
-    clocks-apart, triads-apart, vibration; poses; temperature, temperature-hot, temperature-implausible.
+    rate, rate-changed, jitter, gaps; signal-constant, axis-constant, axis-stuck, isolated-readings, saturation,
+    samples-stuck, samples-repeated, samples-skipped; samples-missing, gyroscope-missing, gyroscope-silent;
+    gravity-magnitude, range-changed, never-static, rests-unsteady, always-static, attitudes, intervals-left-out,
+    static-start, clocks-apart, triads-apart, vibration; poses; temperature, temperature-hot, temperature-implausible.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ...detect.samples.range_change import RangeChange
-from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.repair import repair_samples
 from ...detect.samples.rests import Rests
 from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.threshold import RestDetection, detect_rests
@@ -17,6 +17,7 @@ from ...results.intervals import Booleans, StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .signals import is_silent
 
+TELLS_RESTS = ("attitudes", "always-static", "intervals-left-out")
 _LISTED = 6  # runs of rests with one reason
 _MANY = 0.1  # of the rests
 _FEWEST = 3  # rests behind each other
@@ -99,7 +100,7 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     if detection is not None:
         accelerometer, found = detection.motion.samples, detection.chosen.rests
     imu, rests = (
-        replace(imu, accelerometer=accelerometer, gyroscope=drop_repeated_timestamps(imu.gyroscope)),
+        replace(imu, accelerometer=accelerometer, gyroscope=repair_samples(imu.gyroscope)),
         found.intervals,
     )
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
@@ -114,12 +115,11 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     if unrest > _UNSTEADY:
         findings.append(make_finding("rests-unsteady", label=label, unrest=unrest))
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
-    if attitudes < 2:
-        findings.append(make_finding("always-static", label=label, total=total))
-        return findings
-    findings.append(_attitudes(attitudes, found, total, label))
     t_s = accelerometer.t_s
-    findings += left_out_rests_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
+    left_out = left_out_rests_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
+    if attitudes < 2:
+        return [*findings, make_finding("always-static", label=label, total=total), *left_out]
+    findings += [_attitudes(attitudes, found, total, label), *left_out]
     findings.append(_static_start(accelerometer, found.found, label))
     if len(imu.gyroscope) > 1 and is_silent(imu.gyroscope):
         findings.append(make_finding("gyroscope-silent/rests", label=label, attitudes=attitudes))
@@ -144,9 +144,7 @@ def find_imu_rests(
     accelerometer_range : what the accelerometer can measure [unit], where it is known
     counted : whether the samples are on a uniform time base whatever their timestamps
     """
-    accelerometer, gyroscope = (
-        drop_repeated_timestamps(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope)
-    )
+    accelerometer, gyroscope = (repair_samples(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope))
     times = [
         np.asarray(1e-9 * (triad.t_ns - accelerometer.t_ns[0]), np.float64) for triad in (accelerometer, gyroscope)
     ]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...detect.samples.repair import isolated_readings
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.saturation import saturated_samples
 from ...findings import Finding, make_finding
@@ -252,6 +253,7 @@ _STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
 _MUCH_REPEATED = 0.02  # of all samples
+_LISTED, _MANY_ISOLATED = 6, 1e-3  # isolated readings; the share from which on others may hide among them
 
 
 def axis_extremes(values: Floats) -> tuple[Floats, Floats]:
@@ -278,6 +280,7 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
     if still.any():
         axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
         findings.append(make_finding("axis-constant", label=label, axes=axes))
+    findings += _isolated(samples, label)
     findings += _saturation(samples, label)
     findings += _stuck(samples, label, beside) or _stuck_axis(samples, label)
     findings += check_repeats(samples, label)
@@ -326,6 +329,32 @@ def copied_stretches(copies: Floats, share: float, label: str) -> list[Finding]:
             places="",
         )
     ]
+
+
+def _isolated(samples: TriadSamples, label: str) -> list[Finding]:
+    at = isolated_readings(samples.values)
+    return [isolated_finding(samples.t_s[at], len(at) / len(samples), label)] if len(at) else []
+
+
+def isolated_finding(at_s: Floats, share: float, label: str) -> Finding:
+    """Return that single readings were left out.
+
+    Parameters
+    ----------
+    at_s : (k,) when they were read [s from the start]
+    share : of all samples
+    """
+    many = share > _MANY_ISOLATED
+    return make_finding(
+        "isolated-readings",
+        severity="warning" if many else "info",
+        case="many" if many else "",
+        label=label,
+        count=len(at_s),
+        plural="s" * (len(at_s) > 1),
+        share=share,
+        times=", ".join(f"{t_s:.2f}" for t_s in at_s[:_LISTED]) + " ..." * (len(at_s) > _LISTED),
+    )
 
 
 def _saturation(samples: TriadSamples, label: str) -> list[Finding]:

@@ -26,7 +26,6 @@ from ..verdict import (
 )
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
-from .gyroscope_range import gyroscope_range_findings
 from .imu_tables import ImuFitSummary, interval_numbers
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
@@ -114,9 +113,9 @@ def assess_imu(
     """
     chosen = next(trial for trial in diagnostics.trials if trial.chosen)
     holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
+    changed = any(f.code == "axes-changed" for f in noticed)  # which no step of a bias is
     findings = [
-        *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info") and f.code != _TOLD_AGAIN),
-        *gyroscope_range_findings(evidence.problem),
+        *(_weighed(f, diagnostics) for f in noticed if f.severity != "good" and f.code != _TOLD_AGAIN),
         *holdout_findings(holdout, gravity.value),
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),
@@ -127,7 +126,7 @@ def assess_imu(
         *gravity_findings(gravity),
         *_model_findings(evidence, diagnostics),
         *drift_findings(evidence),
-        *step_findings(evidence, diagnostics),
+        *([] if changed else step_findings(evidence, diagnostics)),
         *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
         *rotation_scatter(evidence),
         *model_incomplete(evidence.trust),

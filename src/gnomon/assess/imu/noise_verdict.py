@@ -1,6 +1,6 @@
 """Verdict and advice on the noise of an IMU: which coefficients a recording shows, and what a longer one would."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import isfinite, pi
 
@@ -10,6 +10,7 @@ from ...detect.samples.rest import RestTable, Stir, find_stir
 from ...errors import RecordingError
 from ...estimate.allan.fit import AxisFit
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.sensor_noise import TriadNoise
@@ -63,12 +64,29 @@ def check_length(table: RestTable, sensor: str) -> None:
         )
 
 
-def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding]:
+@value_class
+class StillSpans:
+    """When a recording rests, (n,) [s], and what the check of a recording says of that."""
+
+    start_s: Floats
+    stop_s: Floats
+    words: str
+
+    def hold(self, t_s: Floats) -> Booleans:
+        """Return which instants (k,) lie within one of them."""
+        k = np.searchsorted(self.start_s, t_s, side="right") - 1
+        return (k >= 0) & (t_s <= np.append(self.stop_s, -np.inf)[k])
+
+
+def check_still(
+    table: RestTable, sensor: str, frozen: Booleans, find_rests: Callable[[], StillSpans | None]
+) -> list[Finding]:
     """Look for shocks, touches and turns.
 
     Parameters
     ----------
     frozen : (k,) windows in which the sensor shows nothing, which are not what to keep
+    find_rests : asked where it moved; None where nothing tells its rests
 
     Raises
     ------
@@ -81,7 +99,9 @@ def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding
         return [make_finding("noise-still", sensor=sensor)]
     marked = stir.windows | turned
     first, last = _span(table, marked)
-    start, stop = _longest_still(table, marked | frozen)
+    rests = find_rests()
+    outside = np.zeros(len(marked), dtype=bool) if rests is None else ~rests.hold(table.t_s)
+    start, stop = _longest_still(table, marked | frozen | outside)
     where = f"at {first:.0f} s" if last - first < 3 else f"between {first:.0f} s and {last:.0f} s"
     if stir.share > _SHARE or turned.any():
         what = "was moved" if turned.any() else "was shaken"
@@ -92,6 +112,7 @@ def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding
         raise RecordingError(
             f"the {sensor} {what} {where} after the start, in {int(marked.sum())} of {len(marked)} windows of "
             f"{table.duration_s / max(len(marked), 1):.1f} s; its noise cannot be told from that. "
+            + (f"{rests.words} " if rests is not None and rests.words else "")
             + (f"{advice}, or record again where nothing can move it." if enough else "Record again, with it at rest.")
         )
     return [
@@ -152,7 +173,7 @@ def _longest_still(table: RestTable, marked: Booleans) -> tuple[float, float]:
     if last < first:
         return 0.0, 0.0
     margin = 2.0
-    start = 0.0 if first == 0 else float(np.ceil(table.t_s[first] + margin))
+    start = float(np.floor(table.t_s[0]) if first == 0 else np.ceil(table.t_s[first] + margin))
     return start, float(np.floor(table.t_s[last] - (margin if last < len(marked) - 1 else 0)))
 
 

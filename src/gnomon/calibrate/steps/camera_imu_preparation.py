@@ -10,7 +10,7 @@ from ...assess.checks.camera_checks import check_cameras
 from ...assess.checks.rig_checks import check_clock_steps, check_look, name_imu
 from ...assess.prior_findings import cameras_disagree
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
-from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.repair import repair_samples
 from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
@@ -239,9 +239,9 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     imus: list[ImuBeforehand] = []
     for number, (name, samples) in enumerate(recording.imus.items()):
         accelerometer = _in_si(
-            drop_repeated_timestamps(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2"
+            repair_samples(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2"
         )
-        gyroscope = _in_si(drop_repeated_timestamps(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
+        gyroscope = _in_si(repair_samples(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
         origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
         inertial += _inertial(number, accelerometer, gyroscope, origin, options)
         imus.append(

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...assess.checks.signals import check_signal
 from ...detect.samples.noise import resting_noise
-from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.repair import repair_samples
 from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.static import (
@@ -150,7 +150,7 @@ def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu 
         )
     counted = options.time_base == "uniform"
     accelerometer, gyroscope = (
-        drop_repeated_timestamps(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
+        repair_samples(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
     )
     origin = int(accelerometer.t_ns[0])
     t_s = time_base(accelerometer, origin, options.time_base).t_s

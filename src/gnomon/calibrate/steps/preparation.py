@@ -10,7 +10,7 @@ import numpy as np
 from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
 from ...detect.samples.noise import resting_noise
-from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.repair import repair_samples
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.saturation import saturated_samples
@@ -328,7 +328,7 @@ def _on_time_base(
 ) -> PreparedImu:
     counted = options.time_base == "uniform"
     accelerometer, gyroscope = (
-        drop_repeated_timestamps(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
+        repair_samples(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
     )
     origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
     accelerometer_time = time_base(accelerometer, origin, options.time_base)

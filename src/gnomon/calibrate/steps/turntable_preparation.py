@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
-from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.repair import repair_samples
 from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
@@ -120,9 +120,9 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
                 raise RecordingError(str(finding))
         findings += [f for f in noticed if f.severity == "warning" and f.code not in _HARMLESS]
         findings += [f for f in recording.findings if f.severity != "good"]
-        gyroscope, accelerometer = drop_repeated_timestamps(imu.gyroscope), imu.accelerometer
+        gyroscope, accelerometer = repair_samples(imu.gyroscope), imu.accelerometer
         if len(accelerometer) > 1:
-            accelerometer = drop_repeated_timestamps(accelerometer)
+            accelerometer = repair_samples(accelerometer)
         origin = int(gyroscope.t_ns[0])
         streams.append(
             PlatterStream(

@@ -1,11 +1,89 @@
-"""Harmless faults of timestamps, fixed; harmful ones are left for the data doctor to name."""
+"""Harmless faults of timestamps and single readings, fixed; harmful ones are left for the data doctor to name."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from ...recording import TriadSamples
+from ...recording import Floats, Integers, TriadSamples, smallest_steps
 from ...results.intervals import Booleans
 
 _RARE = 0.01
+_BESIDE = 3  # samples on either side of a reading
+_OFF = 10.0  # times as far from the line as they are; white noise never is
+_SAMPLES = 10_000  # that tell what is usual
+
+
+def repair_samples(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
+    """Return the samples as they are used: no timestamp twice, and no isolated reading.
+
+    An isolated reading is left out: the line between its neighbours stands in its place, which is what an integral over
+    the gap would take.
+
+    Parameters
+    ----------
+    samples, counted : see `drop_repeated_timestamps`
+    """
+    samples = drop_repeated_timestamps(samples, counted=counted)
+    at = isolated_readings(samples.values)
+    return replace(samples, values=without_readings(samples.values, at)) if len(at) else samples
+
+
+def without_readings(values: Floats, at: Integers) -> Floats:
+    """Return values (n, 3) in which those at some indices (k,) lie on the line between their neighbours, in steps."""
+    kept = np.delete(np.arange(len(values)), at)
+    before = values[kept[np.maximum(np.searchsorted(kept, at) - 1, 0)]]
+    between = np.column_stack([np.interp(at, kept, column[kept]) for column in values.T])
+    step = np.nan_to_num(smallest_steps(values))
+    mended = values.copy()
+    mended[at] = before + np.rint((between - before) / np.where(step > 0, step, 1.0)) * step
+    return mended
+
+
+def isolated_readings(values: Floats) -> Integers:
+    """Return the indices of single readings that neither neighbour supports, as of a disturbed bus.
+
+    On some axis such a reading is off from the middle between its neighbours by ten times more than the slope changes
+    from one sample to the next around it, on any axis. A knock shakes the samples beside its peak, too. Where there are
+    such readings, two of them may be neighbours: each is off among every second or third sample.
+
+    Parameters
+    ----------
+    values : (n, 3)
+    """
+    found = _off_the_line(values)
+    if not found.any():
+        return np.empty(0, np.int64)
+    for stride in (2, 3):
+        off = np.zeros(len(values), dtype=bool)
+        for phase in range(stride):
+            off[phase::stride] = _off_the_line(values[phase::stride])
+        off &= ~found
+        found |= off & (np.convolve(off, np.ones(2 * _BESIDE + 1), "same") > 1.5)
+    return np.flatnonzero(found)
+
+
+def _off_the_line(values: Floats) -> Booleans:
+    """Mark values (n, 3) that are off from the line on which the three on either side lie."""
+    n, k = len(values), _BESIDE
+    found = np.zeros(n, dtype=bool)
+    if n < 2 * k + 2:
+        return found
+    padded = np.pad(values, ((k, k), (0, 0)), mode="reflect")
+    off = np.abs(padded[k:-k] - 0.5 * (padded[k - 1 : -k - 1] + padded[k + 1 : n + k + 1]))
+    usual = np.array([_usual(off[:, axis]) for axis in range(3)])
+    at = np.flatnonzero((off > _OFF * usual).any(axis=1))
+    around = padded[at[:, None] + np.r_[0:k, k + 1 : 2 * k + 1]]
+    slopes = np.diff(around, axis=1)
+    slopes[:, k - 1] *= 0.5  # over two periods
+    bends = (np.abs(np.diff(slopes, axis=1)).max(axis=1) / usual).max(axis=1)
+    found[at] = (off[at] / usual > _OFF * np.maximum(bends, 1.0)[:, None]).any(axis=1)
+    return found
+
+
+def _usual(sizes: Floats) -> float:
+    """Return the median of sizes (n,), at least the smallest that is not zero; inf where there is none."""
+    sizes = sizes[:: max(1, len(sizes) // _SAMPLES)]
+    return float(np.median(sizes)) or float(np.min(sizes, initial=np.inf, where=sizes > 0))
 
 
 def drop_repeated_timestamps(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:

@@ -15,6 +15,7 @@ _PACKETS = 3.0
 _PACKET_S = 0.5
 _LOUD = 12.0  # sigmas of the variance of a window
 _LOUDER = 3.0  # times the usual variance
+_MOST_KEPT = 1 << 19  # samples: more than an hour at 100 Hz, 16 MiB
 
 
 @value_class
@@ -23,7 +24,7 @@ class RestTable:
 
     Attributes
     ----------
-    t_s : (k,) middle of the window [s from the first sample]
+    t_s : (k,) middle of the window [s from the origin]
     mean, variance, low, high : (k, 3) of the samples in it [unit]
     at_low, at_high : (k, 3) number of samples in it that are as low, as high as its lowest, its highest
     samples : number of samples in all
@@ -31,7 +32,7 @@ class RestTable:
     duration_s : from the first to the last sample [s]
     gaps : number of gaps
     lost : samples that are missing in them, about
-    longest_gap_s, longest_gap_at_s : how long the longest one is, and where it begins [s from the first sample]
+    longest_gap_s, longest_gap_at_s : how long the longest one is, and where it begins [s from the origin]
     repeats : share of the samples that repeat the one before in all axes
     """
 
@@ -58,13 +59,19 @@ class RestWatch:
 
     Attributes
     ----------
+    origin_ns : from which times are counted; the first sample where it is None
     samples : number of samples so far
     backward : index of the first sample whose timestamp lies before the one before it; None where there is none
     """
 
+    origin_ns: int | None = None
     samples: int = 0
     backward: int | None = None
     _first: int = 0
+    _unit: str = ""
+    _kept: list[Floats] = field(default_factory=list[Floats])
+    _kept_t: list[Integers] = field(default_factory=list[Integers])
+    _width: int = 1
     _last: int | None = None
     _previous: Floats = field(default_factory=lambda: np.full((1, 3), np.nan))
     _period: float = 0.0
@@ -90,11 +97,31 @@ class RestWatch:
         self._repeats += int(np.count_nonzero((values[1:] == values[:-1]).all(axis=1)))
         self._previous = block.values[-1:]
         self._windows(block)
+        self._keep(block)
         self.samples += len(block)
+
+    def _keep(self, block: TriadSamples) -> None:
+        whole = max(len(block) // self._width, 1) * self._width
+        self._kept.append(_means_of(block.values[:whole], self._width))
+        self._kept_t.append(block.t_ns[: whole : self._width][: len(self._kept[-1])])
+        if sum(map(len, self._kept)) > _MOST_KEPT:
+            self._width *= 2
+            self._kept = [_means_of(np.concatenate(self._kept), 2)]
+            self._kept_t = [np.concatenate(self._kept_t)[: 2 * len(self._kept[0]) : 2]]
+
+    def thinned(self) -> TriadSamples:
+        """Return all samples, or of a long recording means of as many as leave half a million."""
+        return TriadSamples(
+            t_ns=np.concatenate([np.empty(0, np.int64), *self._kept_t]),
+            values=np.concatenate([np.empty((0, 3)), *self._kept]),
+            unit=self._unit,
+        )
 
     def _begin(self, block: TriadSamples) -> None:
         steps = np.diff(block.t_ns)
-        self._first = int(block.t_ns[0])
+        self._first, self._unit = int(block.t_ns[0]), block.unit
+        if self.origin_ns is None:
+            self.origin_ns = self._first
         self._period = 1e9 / block.rate_hz if len(steps) else 0.0
         spread = 1.4826 * float(np.median(np.abs(steps - self._period))) if len(steps) else 0.0
         self._limit = _GAP_PERIODS * self._period + 3 * spread
@@ -114,11 +141,11 @@ class RestWatch:
             self._lost += float(np.rint(steps[gaps] / self._period - 1).sum())
             longest = int(gaps[np.argmax(steps[gaps])])
             if steps[longest] > self._longest[0]:
-                self._longest = float(steps[longest]), int(t_ns[longest] - steps[longest]) - self._first
+                self._longest = float(steps[longest]), int(t_ns[longest] - steps[longest]) - (self.origin_ns or 0)
         self._last = int(t_ns[-1])
 
     def _windows(self, block: TriadSamples) -> None:
-        t = np.concatenate([self._rest_t, block.t_ns - self._first])
+        t = np.concatenate([self._rest_t, block.t_ns - (self.origin_ns or 0)])
         values = np.concatenate([self._rest, block.values])
         count, width = len(t) // self._window, self._window
         whole = count * width
@@ -158,6 +185,12 @@ class RestWatch:
             longest_gap_at_s=self._longest[1] * 1e-9,
             repeats=self._repeats / max(self.samples - 1, 1),
         )
+
+
+def _means_of(values: Floats, width: int) -> Floats:
+    """Return the means of `width` neighbours each, (n // width, 3); an incomplete last one is left out."""
+    count = len(values) // width
+    return values[: count * width].reshape(count, width, 3).mean(axis=1)
 
 
 @value_class

@@ -10,6 +10,7 @@ from .turning import RateMarks, mark_rates
 
 _SURELY_STILL = 10.0  # times the resting level of s^2
 _SAME_ATTITUDE = 0.03  # of half the range of all means
+_ONE_ATTITUDE = 0.03  # of what is read: where no rest is farther from another, all of them are in one
 _MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch of the table stays below
 _UNSEEN_S = 0.5  # without a sample
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
@@ -177,7 +178,9 @@ def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
     if len(pieces) < 2:
         return np.zeros(len(pieces), dtype=np.int64)
     means = interval_means(motion.samples.values, pieces)
-    other = np.any(np.abs(np.diff(means, axis=0)) > _SAME_ATTITUDE * 0.5 * np.ptp(means, axis=0), axis=1)
+    half = 0.5 * np.ptp(means, axis=0)
+    turned = np.linalg.norm(half) > _ONE_ATTITUDE * np.median(np.linalg.norm(means, axis=1))
+    other = turned & np.any(np.abs(np.diff(means, axis=0)) > _SAME_ATTITUDE * half, axis=1)
     if motion.turned is not None:
         for k in np.flatnonzero(~other):
             gap = slice(int(pieces.stop[k]), int(pieces.start[k + 1]))

@@ -1,0 +1,92 @@
+"""A triad whose axes, range or unit changed half-way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.recording import Floats
+
+
+def changed_rates(seed: int, factor: float, share: float) -> gnomon.Recording:
+    """Return a recording of 24 rests in which the gyroscope's readings are multiplied from a share of it on."""
+    recording = gnomon.simulate(gnomon.Scenario(intervals=24, gyroscope_range=1e4), seed=seed)[0]
+    imu = recording.imus["imu0"]
+    t_s = imu.gyroscope.t_s
+    later = t_s > t_s[0] + share * (t_s[-1] - t_s[0])
+    rates = replace(imu.gyroscope, values=imu.gyroscope.values * np.where(later, factor, 1.0)[:, None])
+    return replace(recording, imus={"imu0": replace(imu, gyroscope=rates)})
+
+
+@pytest.mark.parametrize(("factor", "share"), [(0.5, 0.6), (2.0, 0.6), (2.0, 0.8), (57.29578, 0.6)])
+def test_named_and_failed(factor: float, share: float) -> None:
+    calibration = gnomon.calibrate_imu(changed_rates(12, factor, share)).calibration
+    assert calibration.verdict == "fail"
+    (found,) = (one for one in calibration.assessment.findings if one.code == "gyroscope-range-changed")
+    assert calibration.assessment.findings[0] == found  # before what follows from it
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.1])
+def test_no_change_of_range(factor: float) -> None:
+    findings = gnomon.calibrate_imu(changed_rates(13, factor, 0.6)).calibration.assessment.findings
+    assert "gyroscope-range-changed" not in {one.code for one in findings}
+
+
+@pytest.mark.parametrize("seed", [34067, 34074])
+def test_a_dozen_rests_are_no_change_of_range(seed: int) -> None:
+    short = gnomon.Scenario(
+        g_sensitivity=3e-4, sensor_seed=seed, intervals=12, t_init_s=6.0, hold_s=(1.9, 2.1), motion_s=(0.8, 1.2)
+    )
+    assert gnomon.calibrate_imu(gnomon.simulate(short, seed + 5000)[0]).calibration.verdict != "fail"
+
+
+@pytest.mark.parametrize(("seed", "factor"), [(99003, 2.0), (99012, 0.5), (99015, 2.0)])
+def test_a_dozen_rests_tell_a_change_of_range(seed: int, factor: float) -> None:
+    recording = gnomon.simulate(gnomon.Scenario(intervals=12, gyroscope_range=1e4), seed)[0]
+    changed = _changed(recording, "gyroscope", factor * np.eye(3), 0.6)
+    found = gnomon.calibrate_imu(changed).calibration.assessment.findings
+    (told,) = (one for one in found if one.code == "gyroscope-range-changed")
+    shown = float(told.message.split("show ")[1].split(" times")[0])
+    assert shown == pytest.approx(factor, rel=0.15)
+
+
+FLIPPED, REVERSED, EXCHANGED = np.diag([1.0, 1.0, -1.0]), -np.eye(3), np.eye(3)[[1, 0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("triad", "axes"),
+    [
+        ("accelerometer", FLIPPED),
+        ("accelerometer", REVERSED),
+        ("accelerometer", EXCHANGED),
+        ("gyroscope", FLIPPED),
+        ("gyroscope", REVERSED),
+        ("gyroscope", EXCHANGED),
+    ],
+)
+def test_axes_that_change_are_no_step_of_a_bias(triad: str, axes: Floats) -> None:
+    recording = gnomon.simulate(gnomon.Scenario(intervals=24), seed=12)[0]
+    t_s = recording.imus["imu0"].accelerometer.t_s
+    calibration = gnomon.calibrate_imu(_changed(recording, triad, axes, 0.6)).calibration
+    found = calibration.assessment.findings
+    assert (calibration.verdict, found[0].code) == ("fail", "axes-changed")
+    assert "bias-step" not in {one.code for one in found}
+    assert f"axes of the {triad} changed" in found[0].message
+    first, last = (float(word) for word in found[0].message.split("between ")[1].split(" s ")[0].split(" and "))
+    assert first - 8 < 0.6 * t_s[-1] < last + 8
+    read = {
+        f"{'xyz'[i]} reads what would have been {'-' if row.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}"
+        for i, row in enumerate(axes)
+        if row[i] != 1
+    }
+    assert all(one in found[0].message for one in read)
+
+
+def _changed(recording: gnomon.Recording, triad: str, axes: Floats, share: float) -> gnomon.Recording:
+    """Return a recording in which axes (3, 3) are applied to a triad's readings from a share of it on."""
+    imu = recording.imus["imu0"]
+    samples = getattr(imu, triad)
+    later = samples.t_s > share * samples.t_s[-1]
+    values = np.where(later[:, None], samples.values @ axes.T, samples.values)
+    return replace(recording, imus={"imu0": replace(imu, **{triad: replace(samples, values=values)})})
