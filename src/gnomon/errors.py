@@ -15,6 +15,7 @@ Non-convergence and weak observability are statuses on a result, not errors.
 
 import errno
 import os
+import sys
 
 _FULL = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT, errno.EBADF, errno.EROFS)
 _FEW = (errno.EMFILE, errno.ENFILE)
@@ -34,6 +35,23 @@ def system_error_words(error: BaseException) -> str:
     if number in _FULL:
         return f"the output cannot be written ({os.strerror(number or 0)}). Files that are there are whole."
     return ""
+
+
+def install_line(*packages: str) -> str:
+    """Return the command that installs packages, or an extra of gnomon, for the Python that runs.
+
+    It fits a checkout, a wheel, and an environment without pip as uv makes them, in any shell.
+    """
+    from importlib.metadata import PackageNotFoundError, version
+    from importlib.util import find_spec
+
+    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
+    try:
+        version("gnomon")
+    except PackageNotFoundError:  # it runs from the source; the name alone would ask an index for it
+        packages = tuple(name.replace("gnomon[", ".[") for name in packages)
+    program = f"{python} -m pip install" if find_spec("pip") else f"uv pip install --python {python}"
+    return " ".join((program, *(f'"{name}"' if "[" in name else name for name in packages)))
 
 
 class GnomonError(Exception):

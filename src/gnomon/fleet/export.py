@@ -5,7 +5,7 @@ import io
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..errors import OptionError
+from ..errors import OptionError, install_line
 from ..output import write_whole
 from ..recording.dataframes import make_dataframe
 from .entries import LibraryEntry
@@ -58,5 +58,5 @@ def _parquet(columns: dict[str, list[object]]) -> bytes:
     try:
         make_dataframe(columns).to_parquet(stream)
     except (ImportError, AttributeError) as error:
-        raise OptionError("Parquet needs pandas and pyarrow. Run: pip install pandas pyarrow") from error
+        raise OptionError(f"Parquet needs pandas and pyarrow. Run: {install_line('pandas', 'pyarrow')}") from error
     return stream.getvalue()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import orjson
 
-from ..errors import FormatError, OptionError, OutputError
+from ..errors import FormatError, OptionError, OutputError, install_line
 from ..recording import Floats
 from .entries import LibraryEntry
 from .schema import CALIBRATIONS, DETAILS, LAYOUTS, RUNS, migrate_schema, needs_migration
@@ -258,7 +258,7 @@ def _connected(place: str, *, create: bool, read_only: bool) -> "Engine":
         from sqlalchemy import create_engine, event, make_url
         from sqlalchemy.exc import ArgumentError, SQLAlchemyError
     except ImportError as error:
-        raise OptionError("a library needs SQLAlchemy. Run: pip install 'gnomon[fleet]'") from error
+        raise OptionError(f"a library needs SQLAlchemy. Run: {install_line('gnomon[fleet]')}") from error
     from pathlib import Path
 
     if "://" not in place:
@@ -280,7 +280,7 @@ def _connected(place: str, *, create: bool, read_only: bool) -> "Engine":
         event.listen(engine, "begin", _begin)
         engine.connect().close()
     except ImportError as error:
-        raise OptionError(f"{place}: its driver is missing ({error}). Run: pip install 'gnomon[fleet]'") from error
+        raise OptionError(f"{place}: its driver is missing ({error}). Run: {install_line('gnomon[fleet]')}") from error
     except (ArgumentError, SQLAlchemyError) as error:
         reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
         raise OptionError(f"--library {without_password(place)}: it cannot be opened ({reason}).") from error

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from ..errors import FormatError, OptionError
+from ..errors import FormatError, OptionError, install_line
 
 try:
     from sqlalchemy import Column, Float, ForeignKey, Index, Integer, LargeBinary, MetaData, String, Table, Text
     from sqlalchemy import inspect as inspect_database
 except ImportError as error:
-    raise OptionError("a library needs SQLAlchemy. Run: pip install 'gnomon[fleet]'") from error
+    raise OptionError(f"a library needs SQLAlchemy. Run: {install_line('gnomon[fleet]')}") from error
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 
-from ..errors import OptionError
+from ..errors import OptionError, install_line
 from ..local_server import Identity
 
 
@@ -26,7 +26,7 @@ def own_identity(hosts: Sequence[str]) -> Identity:
         from cryptography.hazmat.primitives.asymmetric import ec
         from cryptography.x509.oid import ExtendedKeyUsageOID
     except ImportError:
-        raise OptionError("--tls needs cryptography. Install it with: pip install 'gnomon[tls]'") from None
+        raise OptionError(f"--tls needs cryptography. Run: {install_line('gnomon[tls]')}") from None
     key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "gnomon live")])
     named = [

@@ -16,12 +16,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TextIO
 
-from ..errors import RecordingError
+from ..errors import RecordingError, install_line
 from ..local_server import LocalServer
 from .camera_session import CameraSession
 from .certificate import own_identity
 from .session import LiveSession
-from .sources import INSTALL, PushSource
+from .sources import PushSource
 
 _EVENT_S = 0.1
 _STATE_S = 0.5
@@ -64,7 +64,7 @@ class LivePage(LocalServer):
                 ("/push", "POST", self._push),
             ],
             policy=_POLICY,
-            install=f"{INSTALL}, or use --no-browser.",
+            install=f"Run: {install_line('gnomon[live]')} or use --no-browser.",
             port=port,
             lan=lan,
             identify=own_identity if tls else None,
@@ -122,7 +122,7 @@ class LivePage(LocalServer):
         try:
             import segno
         except ImportError:
-            return self.say(INSTALL, 404)
+            return self.say(f"Run: {install_line('gnomon[live]')}", 404)
         content = BytesIO()
         segno.make(self._for_phone, error="l").save(content, kind="svg", scale=5, light="white")
         return self.answer(content.getvalue(), "image/svg+xml")

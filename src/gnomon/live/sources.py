@@ -15,13 +15,12 @@ from urllib.error import URLError
 from urllib.parse import quote
 from urllib.request import urlopen
 
-from ..errors import OptionError, RecordingError
+from ..errors import OptionError, RecordingError, install_line
 from ..readers.files import first_bytes
 from ..recording import ImuSamples, TriadSamples
 from ..units import Units
 from .hand import SimulatedHand
 
-INSTALL = "Install what it needs with: pip install 'gnomon[live]'"
 _BAUD = 115_200
 _PIECE = 4096
 _WAIT_S = 0.05
@@ -172,7 +171,7 @@ class SerialSource(LiveSource):
         try:
             import serial
         except ImportError:
-            raise OptionError(f"serial:{port}: pyserial is not installed. {INSTALL}") from None
+            raise OptionError(f"serial:{port}: this needs pyserial. Run: {install_line('gnomon[live]')}") from None
         self._serial, self.port, self.baud = serial, port, baud
 
     def arriving_lines(self, stop: Event) -> Iterator[Arrival]:

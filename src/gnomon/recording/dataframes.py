@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import OptionError, RecordingError
+from ..errors import OptionError, RecordingError, install_line
 
 _MODULES = ("pandas", "polars")
 
@@ -30,7 +30,7 @@ def make_dataframe(columns: Mapping[str, Any]) -> Any:
             return importlib.import_module(name).DataFrame(dict(columns))
         except ImportError:
             continue
-    raise OptionError("a DataFrame needs pandas or polars, and neither is installed. Install one: pip install pandas.")
+    raise OptionError(f"a DataFrame needs pandas or polars. Run: {install_line('pandas')}")
 
 
 def dataframe_text(frame: Any) -> bytes:

@@ -10,6 +10,7 @@ from threading import Lock
 from typing import Any
 from urllib.parse import urlencode
 
+from ..errors import install_line
 from ..fleet.entries import LibraryEntry, LineTable, line_table
 from ..fleet.library import Library
 from ..fleet.line import CHANCE
@@ -33,7 +34,6 @@ _LONGEST = 64
 """Characters of a search."""
 _MOST_PAGES = 1_000_000
 _POLICY = "style-src 'self'; style-src-attr 'unsafe-inline'; img-src data:; form-action 'self'"
-_INSTALL = "Run: pip install 'gnomon[serve]'"
 
 
 class LibraryPages:
@@ -133,8 +133,9 @@ class LibraryServer(LocalServer):
     def __init__(self, pages: LibraryPages, *, port: int = 0, lan: bool = False) -> None:
         self._pages = pages
         shown = {"/": self._devices, "/device": self._device, "/chart": self._chart, "/page.css": self._style}
+        install = f"Run: {install_line('gnomon[serve]')}"
         super().__init__(
-            [(path, "GET", do) for path, do in shown.items()], policy=_POLICY, install=_INSTALL, port=port, lan=lan
+            [(path, "GET", do) for path, do in shown.items()], policy=_POLICY, install=install, port=port, lan=lan
         )
 
     async def _devices(self, request: Any) -> Any:

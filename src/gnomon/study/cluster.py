@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..errors import GnomonError, OptionError, SolveError
+from ..errors import GnomonError, OptionError, SolveError, install_line
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -88,9 +88,7 @@ def _connected(address: str) -> Generator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise OptionError(
-            "a scheduler needs the library distributed, which is not installed. Run: pip install 'gnomon[dask]'"
-        ) from error
+        raise OptionError(f"a scheduler needs the library distributed. Run: {install_line('gnomon[dask]')}") from error
     with _quiet():
         try:
             asyncio.run(_ask(address))  # first, since a client that cannot connect is hard to get rid of

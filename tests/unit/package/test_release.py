@@ -19,13 +19,21 @@ def names_and_versions(requirements):
     return {OTHER_NAMES.get(name.lower(), name.lower()): version.split(".")[:2] for name, version in pairs}
 
 
-def test_the_conda_recipe_needs_what_the_package_needs():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+def test_the_conda_recipe_says_what_the_package_says():
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = package["project"]
     recipe = yaml.safe_load((ROOT / "packaging/conda/recipe.yaml").read_text(encoding="utf-8"))
     needed = [line for line in recipe["requirements"]["run"] if not line.startswith("python ")]
     assert names_and_versions(needed) == names_and_versions(project["dependencies"])
     assert f"python {project['requires-python']}" in recipe["requirements"]["run"]
     assert recipe["context"]["version"] == __version__
+    built_with = [line.replace(" ", "") for line in recipe["requirements"]["host"]]
+    assert set(package["build-system"]["requires"]) <= set(built_with)
+    programs = [f"{name} = {start}" for name, start in project["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == programs
+    about = recipe["about"]
+    assert (about["summary"], about["license"]) == (project["description"], project["license"])
+    assert (ROOT / about["license_file"]).is_file()
 
 
 @pytest.mark.parametrize("name", ["ci.yml", "release.yml"])

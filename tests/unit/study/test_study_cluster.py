@@ -76,7 +76,7 @@ def local_cluster(dask):
 
 def test_without_the_library_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(OptionError, match=r"pip install 'gnomon\[dask\]'"):
+    with pytest.raises(OptionError, match=r'pip install "gnomon\[dask\]"$'):
         carry_out(slow_product, [1], workers=Workers(scheduler="tcp://127.0.0.1:1"))
 
 

@@ -16,7 +16,7 @@ class Certificate(Command):
 
     A FILE that ends in .xml becomes a digital calibration certificate (PTB's DCC) for other programs. What it says of
     sensor, date, place, operator and temperature was stated in the options of the command that calibrated; serial
-    number and date must have been for an XML file. A PDF needs Matplotlib: pip install ".[certificate]".
+    number and date must have been for an XML file. A PDF needs Matplotlib, the extra gnomon[certificate].
 
     Examples
     --------

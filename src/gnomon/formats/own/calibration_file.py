@@ -352,7 +352,7 @@ def _checked_minor(root: Node) -> int:
     if (major, minor) > (SCHEMA_MAJOR, SCHEMA_MINOR):
         raise stated.fail(
             f"found {stated.value}, this version of gnomon reads up to gnomon/{SCHEMA_MAJOR}.{SCHEMA_MINOR}. "
-            "The file comes from a newer gnomon: update gnomon (pip install -U gnomon)."
+            "The file comes from a newer gnomon: update gnomon."
         )
     if major < SCHEMA_MAJOR:
         raise stated.fail(f"found {stated.value}, expected gnomon/{SCHEMA_MAJOR}.")

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...errors import OptionError
+from ...errors import OptionError, install_line
 from ...findings import printable_text
 from ...output import write_whole
 from ...results.calibration import Calibration
@@ -45,9 +45,7 @@ def write_certificate(calibration: Calibration, path: str | Path) -> None:
         from matplotlib.backends.backend_pdf import PdfPages
         from matplotlib.figure import Figure
     except ImportError:
-        raise OptionError(
-            'A certificate needs Matplotlib, which is not installed: pip install "gnomon[certificate]".'
-        ) from None
+        raise OptionError(f"a certificate needs Matplotlib. Run: {install_line('gnomon[certificate]')}") from None
     stream = io.BytesIO()
     with rc_context({"font.family": "DejaVu Sans", "pdf.fonttype": 42, "text.parse_math": False}):
         sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(2)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import OptionError
+from ...errors import OptionError, install_line
 from ...recording import Floats
 from . import svg
 from .figures import TEXT, WIDTH, Plot
@@ -38,7 +38,7 @@ def draw_with_matplotlib(drawings: Sequence[tuple[str, Plot, Sequence["Legend"]]
     try:
         from matplotlib import pyplot
     except ImportError:
-        raise OptionError('plots need Matplotlib, which is not installed: pip install "gnomon[certificate]".') from None
+        raise OptionError(f"plots need Matplotlib. Run: {install_line('gnomon[certificate]')}") from None
     heights = [_TITLE + drawing.height + (_LEGEND if legend else 0.0) for _, drawing, legend in drawings]
     whole = sum(heights)
     figure = pyplot.figure(figsize=(WIDTH / 100, whole / 100))
