@@ -1,6 +1,7 @@
-"""Build wheel and sdist, look whether everything is in them, and calibrate with the wheel alone.
+"""Build wheel and sdist, look whether everything is in them, and calibrate with each alone; then try the extras.
 
-Run as `python .ci/packages.py` where the group `dev` is installed; the wheel gets an environment of its own.
+Run as `python .ci/packages.py [PYTHON]` where the group `dev` is installed; each gets an environment of its own, of
+PYTHON where that is named.
 """
 
 import os
@@ -8,11 +9,12 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import venv
 import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PYTHON = (sys.argv[1:] or [sys.executable])[0]
+EXTRAS = "[certificate,dask,fleet,serve,live,tls]"
 IN_SDIST = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "src/gnomon/py.typed")
 
 
@@ -24,8 +26,8 @@ def run(*command: object, where: Path = ROOT) -> None:
         sys.exit(f"{' '.join(map(str, command))} ended with exit code {done.returncode}")
 
 
-def look_inside(dist: Path) -> Path:
-    """Stop where wheel or sdist lack something, and return the wheel."""
+def look_inside(dist: Path) -> tuple[Path, Path]:
+    """Stop where wheel or sdist lack something, and return both."""
     (wheel,), (sdist,) = dist.glob("gnomon-*.whl"), dist.glob("gnomon-*.tar.gz")
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
@@ -40,21 +42,46 @@ def look_inside(dist: Path) -> Path:
     for name in IN_SDIST:
         assert any(entry.endswith(f"/{name}") for entry in entries), f"not in the sdist: {name}"
     print(f"packages: wheel {len(packed)} files, sdist {len(entries)} files")
-    return wheel
+    return wheel, sdist
 
 
-def calibrate(wheel: Path, place: Path) -> None:
-    """Install the wheel, without the source tree, and calibrate the simulated recording."""
-    venv.create(place / "venv", symlinks=os.name != "nt")
-    programs = place / "venv" / ("Scripts" if os.name == "nt" else "bin")
+def install(package: Path, place: Path, extras: str = "") -> Path:
+    """Install a package, without the source tree, into an environment of its own; return the program."""
+    run(PYTHON, "-m", "venv", place)
+    programs = place / ("Scripts" if os.name == "nt" else "bin")
     python = programs / ("python.exe" if os.name == "nt" else "python")
-    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--disable-pip-version-check", wheel)
-    run(programs / "gnomon", "demo", "-o", place / "demo", where=place)
+    run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{package}{extras}")
+    return programs / "gnomon"
+
+
+def calibrate(gnomon: Path, place: Path) -> None:
+    """Calibrate an IMU and a camera in `place`, and convert what comes of it."""
+    place.mkdir()
+    run(gnomon, "demo", "-o", "demo", where=place)
     assert (place / "demo" / "report.html").stat().st_size > 0, "the demo has no report"
-    print("packages: the installed wheel calibrates")
+    run(gnomon, "simulate", "cameras", "-o", "views", where=place)
+    run(gnomon, "camera", "views", "-o", "lens", where=place)
+    run(gnomon, "imu", "demo/recording.npz", "--serial", "1", "-o", "imu", where=place)
+    run(gnomon, "convert", "imu/calibration.yaml", "--to", "px4", "-o", "params", where=place)
+    print(f"packages: the installed {place.name} calibrates")
+
+
+def use_extras(gnomon: Path, place: Path) -> None:
+    """Use what extras bring: a certificate, a library of devices, a page."""
+    run(gnomon, "certificate", "imu", "-o", "imu.pdf", where=place)
+    run(gnomon, "library", "import", "imu", "--library", "devices.db", where=place)
+    run(gnomon, "library", "list", "--library", "devices.db", where=place)
+    run(gnomon.with_name("python"), "-c", "import cryptography, distributed, segno, serial, starlette, uvicorn")
+    print(f"packages: {EXTRAS} work")
 
 
 with tempfile.TemporaryDirectory() as scratch:
+    folder = Path(scratch)
     # hatchling is in the group `dev`: an environment for it would have to be made twice
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", scratch, ".")
-    calibrate(look_inside(Path(scratch)), Path(scratch))
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ".")
+    wheel, sdist = look_inside(folder)
+    alone = install(wheel, folder / "venv")
+    calibrate(alone, folder / "wheel")
+    calibrate(install(sdist, folder / "venv-of-sdist"), folder / "sdist")
+    install(wheel, folder / "venv", EXTRAS)
+    use_extras(alone, folder / "wheel")

@@ -1,6 +1,7 @@
 """Shells are told what can stand on the line."""
 
 import json
+import os
 import shutil
 import subprocess
 
@@ -53,3 +54,15 @@ def test_the_shell_itself_reads_it(shell, check, tmp_path):
         pytest.skip(f"there is no {shell}")
     (tmp_path / "lines").write_text(completion_lines(shell))
     subprocess.run([shell, check, str(tmp_path / "lines")], check=True)
+
+
+@pytest.mark.parametrize("before", ["", "autoload -Uz compinit; compinit -D -u\n"])
+def test_zsh_takes_it_whether_completion_was_begun_or_not(before, tmp_path):
+    if not shutil.which("zsh"):
+        pytest.skip("there is no zsh")
+    (tmp_path / ".zshrc").write_text(before + completion_lines("zsh"))
+    words = ["zsh", "-i", "-c", "print $_comps[gnomon]"]
+    environment = {"ZDOTDIR": str(tmp_path), "HOME": str(tmp_path), "PATH": os.environ["PATH"], "TERM": "dumb"}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True, stdin=subprocess.DEVNULL)
+    assert "_gnomon" in done.stdout
+    assert "not found" not in done.stderr

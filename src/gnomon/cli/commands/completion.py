@@ -10,6 +10,12 @@ from ..terminal import Terminal
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 
+# compinit comes first, and only where the user's own file has not called it.
+_ZSH = """\
+autoload -Uz compinit bashcompinit
+(( $+functions[compdef] )) || compinit
+bashcompinit
+"""
 _BASH = """\
 _gnomon() {
     local words command="${COMP_WORDS[1]}" before="${COMP_WORDS[COMP_CWORD-1]}"
@@ -75,7 +81,7 @@ def completion_lines(shell: Shell) -> str:
     # What stands after an option is looked at before the options of the command, which come last.
     rows = [f'        {_bash_pattern(place)}) words="{words}" ;;' for place, words in reversed(known.items())]
     script = _BASH.replace("LINES", "\n".join(rows))
-    return script if shell == "bash" else f"autoload -Uz bashcompinit && bashcompinit\n{script}"
+    return script if shell == "bash" else f"{_ZSH}{script}"
 
 
 def _known_words() -> Iterator[tuple[str, str]]:
