@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ...options import NoiseOptions
+from ...progress import Step
 from ...simulate.scenarios.recorded import NoiseScenario
 from ..command import Command, Flat, Input, Report, Seed, output_option
 from ..output_folder import NOISE_FILES, default_folder, result_folder
@@ -16,6 +17,7 @@ from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_fi
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
+    from ...recording import Floats
     from ...results.datasheet import Datasheet, DatasheetComparison
     from ...results.sensor_noise import Coefficient, SensorNoise, TriadNoise
 
@@ -193,9 +195,15 @@ class SimulateNoise(Command):
         scenario = self.scenario
         if self.output.suffix != ".npz":
             raise OptionError(f"{self.output}: such long recordings are written as .npz. Name the file so.")
-        sensors: dict[str, Any] = {
-            sensor: (unit, noise_blocks(scenario, sensor, self.seed)) for sensor, unit in SENSOR_UNITS.items()
-        }
+
+        def told(sensor: str) -> Iterator["Floats"]:
+            done = 0
+            for block in noise_blocks(scenario, sensor, self.seed):
+                terminal.progress(Step(f"simulating the {sensor}", done, scenario.samples))
+                done += len(block)
+                yield block
+
+        sensors = {sensor: (unit, told(sensor)) for sensor, unit in SENSOR_UNITS.items()}
         with result_folder(self.output.parent, own=()) as staging:
             save_blocks(staging / self.output.name, sensors, samples=scenario.samples, rate_hz=scenario.rate_hz)
         terminal.print(f"recording    {self.output}")

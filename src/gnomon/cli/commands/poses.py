@@ -43,6 +43,7 @@ class SimulatePoses(Command):
         as_file = path.suffix.lower() in {".csv", ".npz"}
         folder = path.parent if as_file else path
         with result_folder(folder, own=()) as staging:
+            terminal.progress("simulating")
             simulation = simulate_poses(self.scenario, self.seed)
             if path.suffix.lower() == ".csv":
                 save_poses(pose_averages(simulation), staging / path.name)

@@ -157,6 +157,7 @@ class Apply(Command):
         units = reading.pop("units")
         units = None if units is None else Units.parse(units)
         output = self.output or default_folder(source.paths, "calibrated.csv")
+        terminal.progress("correcting the samples")
         rows = apply_files(
             imu, *tables, output=output, imu=name, units=units, temperature_c=self.temperature_c,
             strict=self.strict, warn=terminal.warn, **reading,
