@@ -9,6 +9,8 @@ from .results import USABLE
 from .terminal import Terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..recording import Recording
     from ..results.calibration import Calibration
 
@@ -20,8 +22,10 @@ RIG_FILES = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "tar
 """What a recording of cameras and an IMU consists of."""
 
 
-def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal, *, then: str) -> int:
-    """Write the recording of one sensor as `path`, its truth beside it, and return the exit code.
+def write_simulated(
+    simulate: "Callable[[], tuple[Recording, Calibration]]", path: Path, terminal: Terminal, *, then: str
+) -> int:
+    """Simulate one sensor, write its recording as `path`, its truth beside it, and return the exit code.
 
     Parameters
     ----------
@@ -31,6 +35,8 @@ def write_simulated(recording: "Recording", truth: "Calibration", path: Path, te
     from ..writers.recording_file import check_suffix, save_recording
 
     check_suffix(path)
+    terminal.progress("simulating")
+    recording, truth = simulate()
     folder = path.parent
     true = truth_name(folder, [path.name])
     with result_folder(folder, own=()) as staging:

@@ -120,8 +120,7 @@ class Simulate(Command):
         """Simulate, write recording and truth, and return the exit code."""
         from ...simulate import simulate
 
-        terminal.progress("simulating")
-        return write_simulated(*simulate(self.scenario, self.seed), self.output, terminal, then="imu")
+        return write_simulated(lambda: simulate(self.scenario, self.seed), self.output, terminal, then="imu")
 
 
 @dataclass(frozen=True, kw_only=True)

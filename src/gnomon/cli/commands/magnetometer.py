@@ -77,5 +77,4 @@ class SimulateMagnetometer(Command):
         """Simulate a recording, write it and its truth, and return the exit code."""
         from ...simulate import simulate_magnetometer as simulated
 
-        terminal.progress("simulating")
-        return write_simulated(*simulated(self.scenario, self.seed), self.output, terminal, then="magnetometer")
+        return write_simulated(lambda: simulated(self.scenario, self.seed), self.output, terminal, then="magnetometer")
