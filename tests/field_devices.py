@@ -1,5 +1,7 @@
 """Logs of more devices, written as their public documentation or code writes them; see test_field_formats."""
 
+import zlib
+
 import numpy as np
 
 import field_logs
@@ -257,12 +259,31 @@ def nclt(path):  # robots.engin.umich.edu/nclt: ms25.csv, magnetometer first
     return lines(path, lambda i: f"{1_335_704_127_000_000 + US[i]}, {numbers(M[i] / 100, F[i], W[i], separator=', ')}")
 
 
+def novatel(path):  # docs.novatel.com/OEM7, RAWIMUS: z, minus y, x; CRC of "ASCII, 32-bit CRC"; a log of another kind
+    def line(i):
+        (ax, ay, az), (gx, gy, gz) = AC[i], GC[i]
+        stamp = f"2209,{491_612 + MS[i] // 1000}.{MS[i] % 1000:03d}"
+        text = f"RAWIMUSA,{stamp};{stamp}588,ea5afe00,{az},{-ay},{ax},{gz},{-gy},{gx}"
+        crc = zlib.crc32(text.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF
+        return f"%{text}*{crc:08x}" + ("\n#TIMEA,USB1,0,64.5,FINE;VALID,1.5*00000000" if i % 50 == 7 else "")
+
+    return lines(path, line)
+
+
+def m5stick(path):  # github.com/Diams/M5StackIMU, on the serial port: a sign in the place of the space
+    def line(i):
+        return f"acc:{numbers(A[i], form='% 5.5f')}\ngyro:{numbers(D[i], form='% 5.4f')}"
+
+    return lines(path, line)
+
+
 WITHOUT_OPTIONS = [
     movella_dot, shimmer, gnss_logger, rs_convert, long_table, gopro_telemetry, matlab_mobile, sensor_kinetics, px4_csv,
-    gyroflow, sense_hat, microstrain, openlog_artemis, ros2_echo_csv, ros2_echo, micropython, uzh_fpv, sensor_log,
+    gyroflow, novatel, sense_hat, microstrain, openlog_artemis, ros2_echo_csv, ros2_echo, micropython, uzh_fpv,
+    sensor_log,
 ]  # fmt: skip
 WITH_A_RATE = [
     mpu6050_light, mpu6050_tockn, adafruit_lsm9ds1, sparkfun_lsm9ds1, sparkfun_mpu9250, electronicwings, circuitpython,
-    python_dicts, mu_plotter, motioncal, bno055, bmi270,
+    python_dicts, mu_plotter, motioncal, bno055, bmi270, m5stick,
 ]  # fmt: skip
 WITH_COLUMNS = [razor_m0, nclt]

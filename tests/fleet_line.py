@@ -28,7 +28,7 @@ def device(serial, day=0, *, values=CENTRE, station="A", seed=0, **more):
     covariance = (covariance + covariance.T) / 2  # to the last bit
     made = LibraryEntry(
         serial=serial,
-        measured=str(np.datetime64("2026-01-01") + day),
+        measured=str(np.datetime64("2026-01-01") + np.timedelta64(day, "D")),
         station=station,
         operator="",
         temperature_c=float("nan"),

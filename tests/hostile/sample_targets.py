@@ -74,6 +74,19 @@ def tables() -> list[bytes]:
     ]  # fmt: skip
 
 
+def stated() -> list[bytes]:
+    """Return tables that state their scales, their rate, or the order of their columns."""
+    rows = b"".join(b"%d,39,86,183,-11,-62,-29\n" % i for i in range(9))
+    novatel = (
+        b"%RAWIMUSA,2209,491612.254;2209,491612.253588,ea5afe00,329303960,-2512321,4410363,309705,607017,-1009773"
+        b"*1fb76c28\n"
+    )
+    return [
+        b"GYROFLOW IMU LOG\nversion,1.3\ntscale,0.001\ngscale,0.0012\nascale,0.0004\nt,gx,gy,gz,ax,ay,az\n" + rows,
+        b"1572606921.0, 1572606921.0, 1572606921.0\n32.0, 32.0, 32.0\n" + b"1,-62,-29\n" * 9, novatel * 4,
+    ]  # fmt: skip
+
+
 def matlab_files() -> list[bytes]:
     t, force, rate = moved()
     made: list[bytes] = []
@@ -227,6 +240,10 @@ SAMPLES: tuple[Target, ...] = (
     Target(
         name="pushed-samples", file="push.json", form="json", seeds=lambda: [PUSHED],
         read=lambda folder: PushSource().take_push((folder / "push.json").read_bytes()),
+    ),
+    Target(
+        name="stated-log", file="rec.csv", form="text", seeds=stated,
+        read=lambda folder: gnomon.read(folder / "rec.csv"),
     ),
     Target(
         name="pair-of-tables", file="gyr.csv", form="text", seeds=lambda: [_one_triad(slice(3, 6))], read=_two,

@@ -22,6 +22,8 @@ MISTAKES = {
     "show a --jso": "Did you mean --json",
     "show a --form kalib": "did you mean kalibr",
     "show a --for --json": "expected 1 argument",
+    "simulate cameras -o x --resolution 640 --json": "expected 2 arguments",
+    "camera-imu rig --cam --json": "--cams/--cam: expected 1 argument",
     "imu a --gravity nine": "--gravity nine: expected a number",
     "imu a --gravity 3": "from 9 to 10.5",
     "imu a --report": "no option --report",

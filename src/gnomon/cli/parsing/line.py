@@ -3,7 +3,7 @@
 import re
 import shutil
 import sys
-from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import SUPPRESS, Action, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING
 from difflib import get_close_matches
@@ -61,6 +61,10 @@ class LineParser(ArgumentParser):
         layout = partial(RawDescriptionHelpFormatter, width=help_width(), max_help_position=24)
         super().__init__(prog, usage, description, epilog, formatter_class=layout, add_help=False, allow_abbrev=False)
         self._negative_number_matcher = re.compile(_NUMBER)
+
+    def _get_nargs_pattern(self, action: Action) -> str:
+        """Return what may follow an option; from Python 3.13 on another option would be taken for its value."""
+        return super()._get_nargs_pattern(action).replace("O", "")
 
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong with the line."""

@@ -67,6 +67,7 @@ def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
     from .gpmf import is_gpmf, read_gpmf
     from .phone_log import is_phone_log, read_phone_log
     from .px4_ulog import is_ulog, read_ulog
+    from .stated_log import is_stated_log, read_stated_log
     from .tagged_log import is_tagged_log, read_tagged_log
 
     if len(paths) != 1:
@@ -78,6 +79,7 @@ def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
         (is_dataflash, read_dataflash),
         (is_imu_bag, read_imu_bag),
         (is_phone_log, read_phone_log),
+        (is_stated_log, read_stated_log),
         (is_tagged_log, read_tagged_log),
     )
     return next((reader for is_such, reader in readers if is_such(path)), None)

@@ -38,6 +38,8 @@ _PARENT = re.compile(rb"\s*[A-Za-z_]\w*:\s*$")
 _VALUE = re.compile(rb"[A-Za-z_]\w*: *" + _NUMBER + rb"$")
 _CHILD = re.compile(rb"\s+[A-Za-z_]\w*:(\s|$)")
 _DAY_S = 86_400
+_PADDING = re.compile(rb"(?<=[:=,;|]) $")
+"""Space that a sign may take, as of "% 5.2f"."""
 _AXES = frozenset("xyzXYZ")
 _USUAL = 0.3  # a kind of line that belongs to every sample is at least so frequent, relative to the most frequent one
 _IN_ORDER = 0.8
@@ -161,6 +163,7 @@ def _gaps(line: bytes) -> Gaps | None:
         re.sub(rb"\s+", lambda run: b"\t" if b"\t" in run[0] else b" ", line[a:b])
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]
+    gaps = [_PADDING.sub(b"", gap) for gap in gaps]
     return (gaps[0].lstrip(), *gaps[1:-1], gaps[-1].rstrip())
 
 
@@ -282,6 +285,7 @@ class Nesting:
 
 def _pattern(gaps: Gaps) -> "re.Pattern[bytes]":
     parts = [rb"\s*".join(re.escape(piece) for piece in re.split(rb"\s+", gap)) for gap in gaps]
+    parts = [part + rb"\s*" if gap[-1:] in b":=,;|" else part for gap, part in zip(gaps, parts, strict=True)]
     inner = [part if gap.strip() else rb"\s+" for gap, part in zip(gaps[1:-1], parts[1:-1], strict=True)]
     number = b"(" + _NUMBER + b")"
     body = b"".join(piece + number for piece in (parts[0], *inner)) if len(gaps) > 1 else parts[0]
