@@ -7,6 +7,7 @@ and the other methods are shared.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, FrozenInstanceError, dataclass, field, fields
+from functools import cache
 from typing import Any, TypeVar, dataclass_transform, overload
 
 Key = TypeVar("Key")
@@ -77,6 +78,7 @@ def value_class(cls: Any = None, /, *, eq: bool = False, kw_only: bool = True) -
     return _frozen(cls, eq, kw_only)
 
 
+@cache
 def field_names(cls: type) -> tuple[str, ...]:
     """Return the names of the fields of a value class."""
     return tuple(entry.name for entry in fields(cls))

@@ -9,7 +9,13 @@ import sys
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 3  # of kernel.c, which `library` is written for
+_INTERFACE = 4  # of kernel.c, which `library` is written for
+
+
+_LOOPS = (
+    *("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "running_sums", "descend_corners"),
+    *("fit_homography", "undo_png_filters"),
+)
 
 
 def kernel_file_name() -> str:
@@ -27,9 +33,9 @@ def _library() -> ctypes.CDLL | None:
         found.gnomon_interface.restype = ctypes.c_int64
         if found.gnomon_interface() != _INTERFACE:
             return None
-        loops = ("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "running_sums", "descend_corners")
-        for name in loops:
+        for name in _LOOPS:
             found[f"gnomon_{name}"].restype = None
+        found.gnomon_undo_png_filters.restype = ctypes.c_int64
     except (OSError, AttributeError):  # of another processor, damaged, of another version
         return None
     return found

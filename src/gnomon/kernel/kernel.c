@@ -1,8 +1,8 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
    of an exposure, and what is added to the normal equations; rotations from rates; running sums for Allan variances; and
-   the fit of corners to the pixels around them. Each does what the NumPy code beside its caller does
-   (estimate/camera_imu/terms, estimate/multiposition, estimate/allan, detect/corners), to rounding; equations and names
-   are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
+   the fit of corners to the pixels around them, and of a board to its corners; rows of pixels of a PNG. Each does what the NumPy code beside its
+   caller does (estimate/camera_imu/terms, estimate/multiposition, estimate/allan, detect), to rounding; equations and
+   names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
 #include <math.h>
 #include <stdint.h>
@@ -28,7 +28,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 3 /* changes whenever the arguments of a function do */
+#define INTERFACE 4 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -852,4 +852,112 @@ CLONES EXPORT void gnomon_descend_corners(int64_t m, int64_t n, int64_t shared, 
                 corner_left_out(n, value, place, &columns, at, normal, rules->damping, bow + 4 * corner, slope + 4 * corner);
         }
     }
+}
+
+/* maps from a board to an image (detect/boards/tag_places.py, plane_map.py) */
+
+#define NINE 9
+
+/* What moves points (n, 2) to zero mean and unit spread: by this factor, from there. */
+static double spread_of(int64_t n, const double *points, double *mean) {
+    double square = 0.0;
+    mean[0] = mean[1] = 0.0;
+    for (int64_t i = 0; i < n; i++) mean[0] += points[2 * i], mean[1] += points[2 * i + 1];
+    mean[0] /= (double)n, mean[1] /= (double)n;
+    for (int64_t i = 0; i < n; i++)
+        for (int k = 0; k < 2; k++) square += (points[2 * i + k] - mean[k]) * (points[2 * i + k] - mean[k]);
+    square = sqrt(square / (2.0 * (double)n));
+    return 1.0 / (square > 1e-12 ? square : 1e-12);
+}
+
+/* The eigenvector of the least eigenvalue of a matrix, positive but for rounding, by inverse iteration. */
+static void least_eigenvector(double a[NINE][NINE], double *x) {
+    double size = 0.0;
+    for (int i = 0; i < NINE; i++) size += a[i][i];
+    for (int i = 0; i < NINE; i++) a[i][i] += 1e-15 * size, x[i] = 1.0 / (i + 1.5);
+    for (int i = 0; i < NINE; i++) /* L D L', in place */
+        for (int j = 0; j <= i; j++) {
+            double sum = a[i][j];
+            for (int k = 0; k < j; k++) sum -= a[i][k] * a[j][k] * a[k][k];
+            a[i][j] = j < i ? sum / a[j][j] : sum > 1e-17 * size ? sum : 1e-17 * size;
+        }
+    double moved = 1.0;
+    for (int turn = 0; turn < 100 && moved > 1e-15; turn++) {
+        double y[NINE], square = 0.0, along = 0.0;
+        for (int i = 0; i < NINE; i++) {
+            y[i] = x[i];
+            for (int k = 0; k < i; k++) y[i] -= a[i][k] * y[k];
+        }
+        for (int i = NINE - 1; i >= 0; i--) {
+            y[i] /= a[i][i];
+            for (int k = i + 1; k < NINE; k++) y[i] -= a[k][i] * y[k];
+            square += y[i] * y[i], along += y[i] * x[i];
+        }
+        moved = 0.0;
+        for (int i = 0; i < NINE; i++) {
+            y[i] /= copysign(sqrt(square), along);
+            moved = fmax(moved, fabs(y[i] - x[i]));
+            x[i] = y[i];
+        }
+    }
+}
+
+/* The homography (3, 3) that maps points (n, 2) to pixels (n, 2) best, by algebraic distance. */
+CLONES EXPORT void gnomon_fit_homography(int64_t n, const double *points, const double *pixels, double *H) {
+    double from[2], to[2], sums[4][3][3] = {0}, normal[NINE][NINE] = {0}, h[NINE], moved[9];
+    const double scale = spread_of(n, points, from), stretch = spread_of(n, pixels, to);
+    for (int64_t i = 0; i < n; i++) {
+        const double p[3] = {scale * (points[2 * i] - from[0]), scale * (points[2 * i + 1] - from[1]), 1.0};
+        const double u = stretch * (pixels[2 * i] - to[0]), v = stretch * (pixels[2 * i + 1] - to[1]);
+        const double by[4] = {1.0, -u, -v, u * u + v * v};
+        for (int k = 0; k < 4; k++)
+            for (int r = 0; r < 3; r++)
+                for (int c = 0; c < 3; c++) sums[k][r][c] += by[k] * p[r] * p[c];
+    }
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 3; c++) {
+            normal[r][c] = normal[3 + r][3 + c] = sums[0][r][c];
+            normal[r][6 + c] = normal[6 + r][c] = sums[1][r][c];
+            normal[3 + r][6 + c] = normal[6 + r][3 + c] = sums[2][r][c];
+            normal[6 + r][6 + c] = sums[3][r][c];
+        }
+    least_eigenvector(normal, h);
+    const double back[9] = {1 / stretch, 0, to[0], 0, 1 / stretch, to[1], 0, 0, 1};
+    const double there[9] = {scale, 0, -scale * from[0], 0, scale, -scale * from[1], 0, 0, 1};
+    multiply(h, there, moved);
+    multiply(back, moved, H);
+}
+
+/* pictures (readers/images/image_pixels.py) */
+
+INLINE void undo_png_filter(int filter, int64_t width, const uint8_t *x, const uint8_t *above, uint8_t *pixels) {
+    unsigned left = 0, corner = 0;
+    for (int64_t i = 0; i < width; i++) {
+        const unsigned up = above ? above[i] : 0;
+        unsigned by = filter == 1 ? left : filter == 2 ? up : filter == 3 ? (left + up) >> 1 : 0;
+        if (filter == 4) { /* Paeth: of left, above and corner the nearest to left + above - corner */
+            const int a = (int)up - (int)corner, b = (int)left - (int)corner, c = a + b;
+            const int far = a < 0 ? -a : a, across = b < 0 ? -b : b, both = c < 0 ? -c : c;
+            by = far <= across && far <= both ? left : across <= both ? up : corner;
+        }
+        corner = up;
+        pixels[i] = (uint8_t)(left = (x[i] + by) & 255);
+    }
+}
+
+/* Undoes the filters of the rows of a PNG of one byte a pixel (ISO/IEC 15948, 9.2): each has the number of its filter
+   before its bytes. Returns other than 0 where there is no such filter. */
+EXPORT int64_t gnomon_undo_png_filters(int64_t height, int64_t width, const uint8_t *rows, uint8_t *pixels) {
+    for (int64_t r = 0; r < height; r++, rows += width + 1, pixels += width) {
+        const uint8_t *x = rows + 1, *above = r ? pixels - width : 0;
+        switch (rows[0]) { /* so that each filter has a loop of its own */
+        case 0: memcpy(pixels, x, (size_t)width); break;
+        case 1: undo_png_filter(1, width, x, above, pixels); break;
+        case 2: undo_png_filter(2, width, x, above, pixels); break;
+        case 3: undo_png_filter(3, width, x, above, pixels); break;
+        case 4: undo_png_filter(4, width, x, above, pixels); break;
+        default: return 1;
+        }
+    }
+    return 0;
 }

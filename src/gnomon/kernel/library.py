@@ -25,15 +25,23 @@ BLOCKS = (
 """The fields of Blocks in kernel.c, in their order."""
 
 
+class _Pointer(ctypes.c_void_p):
+    """Where an array begins, which lives as long as this."""
+
+    def __init__(self, array: NDArray[np.generic]) -> None:
+        super().__init__(array.__array_interface__["data"][0])
+        self.array = array
+
+
 def _at(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
     """Return where what is only read begins: an array, or a contiguous copy that lives as long as this."""
     return ctypes.c_void_p() if array is None else _out(np.ascontiguousarray(array))
 
 
 def _out(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
-    """Return where an array begins that is written to."""
+    """Return where an array begins that is written to; `data_as` of NumPy's takes ten times as long."""
     assert array is None or array.flags.c_contiguous
-    return ctypes.c_void_p() if array is None else array.ctypes.data_as(ctypes.c_void_p)
+    return ctypes.c_void_p() if array is None else _Pointer(array)
 
 
 def _long(value: int) -> ctypes.c_int64:
@@ -218,3 +226,28 @@ def descend_corners(
         _out(found[2]),
     )
     return found[0], variance, found[1], found[2]
+
+
+def fit_homography(points: Floats, pixels: Floats) -> Floats:
+    """Return the homography (3, 3) from points (m, 2) to pixels (m, 2); see there, in the places of tags."""
+    library = load_kernel()
+    assert library is not None
+    found = np.empty((3, 3))
+    points, pixels = np.ascontiguousarray(points), np.ascontiguousarray(pixels)
+    library.gnomon_fit_homography(_long(len(points)), _at(points), _at(pixels), _out(found))
+    return found
+
+
+def undo_png_filters(rows: bytes, width: int, height: int) -> NDArray[np.uint8] | None:
+    """Return the pixels (height, width) of a PNG of one byte each; None where a row has a filter that does not exist.
+
+    Parameters
+    ----------
+    rows : each with the number of its filter before its bytes, `height * (width + 1)` in all
+    """
+    library = load_kernel()
+    assert library is not None
+    assert len(rows) == height * (width + 1)
+    found = np.empty((height, width), dtype=np.uint8)
+    strange = library.gnomon_undo_png_filters(_long(height), _long(width), ctypes.c_char_p(rows), _out(found))
+    return None if strange else found

@@ -299,7 +299,7 @@ def test_work_of_a_process_that_is_lost_is_done_here(views, monkeypatch):
 
     monkeypatch.setattr(worker.BoardProcess, "views", killed)
     images = frames(3 * views)
-    found = detect_corners(many(images), BOARD, workers=2)
+    found = detect_corners(many(images), BOARD, workers=3)
     assert len(lost) == 2
     assert equal(found, detect_corners(camera(images), BOARD, workers=1))
 

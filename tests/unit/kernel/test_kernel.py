@@ -11,6 +11,7 @@ import pytest
 
 from camera_imu_problem import problem
 from gnomon import kernel
+from gnomon.detect.boards.tag_places import fit_homography, map_points
 from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.products import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
@@ -124,6 +125,23 @@ def test_corners_are_fitted_as_by_numpy(kind, white, monkeypatch):
     for field, tolerance in tolerances.items():
         one, other = (getattr(fits, field)[plain.good] for fits in (fast, plain))
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=tolerance, err_msg=field)
+
+
+@compiled
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_homographies_are_those_of_numpy(noise, monkeypatch):
+    rng = np.random.default_rng(4)
+    for turn in np.linspace(0, 2 * np.pi, 12):
+        points = rng.uniform(0, 0.4, (int(rng.integers(5, 150)), 2))
+        H = np.array([[np.cos(turn), -np.sin(turn), 1], [np.sin(turn), np.cos(turn), 2], [0.3, -0.2, 1.0]])
+        seen = np.column_stack([points, np.ones(len(points))]) @ H.T
+        pixels = seen[:, :2] / seen[:, 2:]
+        pixels += rng.normal(0, noise * np.ptp(pixels), pixels.shape)
+        monkeypatch.delenv("GNOMON_KERNEL", raising=False)
+        fast = map_points(fit_homography(points, pixels)[None], points)[0]
+        monkeypatch.setenv("GNOMON_KERNEL", "0")
+        plain = map_points(fit_homography(points, pixels)[None], points)[0]
+        np.testing.assert_allclose(fast, plain, atol=1e-12 * np.abs(pixels).max())
 
 
 def test_it_can_be_switched_off(monkeypatch):

@@ -1,5 +1,8 @@
 """Pixels as cameras send them, made grey: every encoding, padded rows, byte orders, depths, damaged images."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -194,6 +197,37 @@ def test_a_damaged_png_is_refused_without_a_word_on_the_terminal(capfd, spoil, s
     with pytest.raises(RecordingError, match=rf"^a\.png: the picture is {said} \(\d+ bytes\)\.$"):
         decode_picture(spoil(png), "a.png")
     assert capfd.readouterr() == ("", "")
+
+
+def png(rows, kind=0):
+    """Return a PNG of 8 bits, made of rows whose first byte is the number of a filter."""
+    head = struct.pack(">IIBBBBB", rows.shape[1] - 1, len(rows), 8, kind, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes())), (b"IEND", b""))
+    packed = (
+        struct.pack(">I", len(held)) + name + held + struct.pack(">I", zlib.crc32(name + held)) for name, held in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 9), (30, 2), (40, 61)])
+def test_every_filter_of_a_png_is_undone_as_opencv_does(height, width):
+    rows = RNG.integers(0, 256, (height, width + 1), dtype=np.uint8)
+    rows[:, 0] = RNG.permutation(np.arange(height) % 5)
+    whole = png(rows)
+    expected = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_array_equal(decode_picture(whole, "here"), expected)
+
+
+def test_a_png_with_too_few_rows_or_a_strange_filter_is_left_to_opencv(monkeypatch):
+    rows = np.zeros((8, 9), np.uint8)
+    asked = []
+    monkeypatch.setattr(cv2, "imdecode", lambda data, flags: asked.append(len(data)))
+    few = png(rows[:4]).replace(struct.pack(">II", 8, 4), struct.pack(">II", 8, 8))
+    few = few[:29] + struct.pack(">I", zlib.crc32(few[12:29])) + few[33:]
+    for whole in (few, png(np.full_like(rows, 5)), png(rows, kind=3)):
+        with pytest.raises(RecordingError, match="damaged or of an unknown kind"):
+            decode_picture(whole, "here")
+    assert len(asked) == 3
 
 
 def test_what_a_program_wrote_into_a_png_may_be_damaged():

@@ -32,7 +32,7 @@ Processes = SimpleQueue[BoardProcess]
 
 _RUN, _RUN_PX = (8, 32), 16e6  # consecutive frames that one worker takes, and pixels of them that bound the memory
 _DECODED = 8  # frames of a run that are decoded at once
-_MANY_IMAGES = 80  # from which on it pays to start processes, which takes as long as some fifty images
+_MANY_IMAGES = 40  # from which on it pays to start processes, which takes as long as some twenty images
 _WAITING = 1  # runs that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
@@ -136,11 +136,11 @@ def _all_frames(images: CameraImages, notes: list[str], target: Target, workers:
 
 @contextmanager
 def _processes(target: Target, workers: int) -> Generator[Processes]:
-    """Give processes that find the board, of which each run of frames borrows one; none for a single worker."""
+    """Give processes that find the board, of which each run of frames borrows one; one worker is this one itself."""
     free: Processes = SimpleQueue()
     started: list[BoardProcess] = []
     try:
-        for _ in range(workers if workers > 1 else 0):
+        for _ in range(workers - 1):
             try:
                 started.append(BoardProcess(target))
             except ProcessLostError:

@@ -23,7 +23,7 @@ from ...recording import CameraFrames, FrameQuality, Source
 from ...recording.images import ImageRecording
 from .board_corners import BoardCorners, CameraImages, detect_corners
 
-DETECTORS = 5
+DETECTORS = 6
 """Version of the detectors within one of gnomon; to be raised whenever corners come out differently."""
 
 PREFIX, SUFFIX = "corners-", ".npz"

@@ -10,6 +10,7 @@ grids it is the tip of a black wedge.
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -388,7 +389,8 @@ class TagGrid:
             dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
             point, fits = point[kept], fits.only(kept)
         else:
-            most = float(np.quantile(np.linalg.norm(through.residual_px, axis=1), _MOST))
+            by_size = np.sort(np.hypot(*through.residual_px.T))
+            most = float(by_size[int(_MOST * len(by_size))])
         single, found = self._single(point, fits, dropped, through)
         if len(single):
             point, fits = np.concatenate([point, single]), join_corner_fits(fits, found)
@@ -409,7 +411,7 @@ class TagGrid:
         return as_good_as(fits, middle_of(others.misfit[others.good]), middle_of(others.sigma_px[others.good]))
 
     def _points(self, number: Integers) -> Integers:
-        return self._target.point_of_tag_corner(np.repeat(number, 4), np.tile(np.arange(4), len(number)))
+        return _points_of_tags(self._target)[number].ravel()
 
     def _single(
         self, point: Integers, fits: CornerFits, dropped: Counter[str], through: PlaneMap | None
@@ -461,6 +463,12 @@ class TagGrid:
         near = np.linalg.norm(found.pixels - expected[missing], axis=1) < limit
         bright = found.white - found.black > CONTRAST * middle_of(fits.white - fits.black)
         return corners[missing.ravel()], replace(found, good=found.good & near & bright)
+
+
+@lru_cache(maxsize=8)
+def _points_of_tags(target: Target) -> Integers:
+    """Return the numbers of the corners of all tags, (n, 4)."""
+    return target.point_of_tag_corner(np.arange(target.tags)[:, None], np.arange(4))
 
 
 def _within(numbers: Integers, count: int) -> Booleans:

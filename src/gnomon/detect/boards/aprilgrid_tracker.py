@@ -7,8 +7,11 @@ Where that finds less than a search of the image might, the image is searched. C
 image, by the same fit as after a search.
 """
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...models.camera import Booleans
@@ -145,6 +148,10 @@ class AprilGridTracker:
 def _shift(before: Grey, now: Grey) -> Floats:
     """Return how far most of the picture moved, (2,) [px of these images]; neighbouring tags look alike to the flow."""
     first, second = (reduce_image(image, _SHIFT_SCALE).astype(np.float32) for image in (before, now))
-    height, width = first.shape
-    shift, _ = cv2.phaseCorrelate(first, second, cv2.createHanningWindow((width, height), cv2.CV_32F))
+    shift, _ = cv2.phaseCorrelate(first, second, _hanning(*first.shape))
     return _SHIFT_SCALE * np.array(shift, dtype=np.float64)
+
+
+@lru_cache(maxsize=4)
+def _hanning(height: int, width: int) -> NDArray[np.float32]:
+    return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), dtype=np.float32)

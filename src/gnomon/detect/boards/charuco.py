@@ -222,7 +222,7 @@ def _groups(layout: _Layout, number: Integers, corners: Floats, H: Floats) -> li
     agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance < _REACH)
     agrees &= agrees.T
     group = connected_tags(agrees)
-    found = [once_each(np.flatnonzero(group == name), number, agrees) for name in np.unique(group).tolist()]
+    found = [once_each(np.flatnonzero(group == name), number, agrees) for name in sorted(set(group.tolist()))]
     return sorted(found, key=len, reverse=True)
 
 

@@ -15,15 +15,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from scipy.spatial import KDTree
 
 from ...models.target import Target
 from ...recording import Floats
 from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
 from .board import SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
-from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps
-from .lattice import Lattice, find_lattices, find_saddles
+from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps, reaches_outside
+from .lattice import Lattice, find_lattices, find_saddles, squared_distances
 from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
 from .optical_flow import carry_corners
 from .plane_map import LensGuess
@@ -116,7 +115,7 @@ def _board_of(image: Grey, lattice: Lattice, scale: int, target: Target) -> Chec
 
 def board_near(image: Grey, grid: Floats | None) -> CheckerboardGrid | None:
     """Return the board whose corners are near a grid."""
-    grid = None if grid is None else _refined(image, grid)
+    grid = None if grid is None or reaches_outside(image, grid) else _refined(image, grid)
     return None if grid is None else board_at(image, grid)
 
 
@@ -243,5 +242,5 @@ class CheckerboardTracker:
 
 def _same_places(first: Floats, second: Floats) -> bool:
     """Tell whether two grids have their corners in the same places, whatever the order."""
-    distance, _ = KDTree(first.reshape(-1, 2)).query(second.reshape(-1, 2))
-    return bool(np.max(distance) < _SAME_PX)
+    apart = squared_distances(first.reshape(-1, 2), second.reshape(-1, 2))
+    return bool(apart.min(axis=0).max() < _SAME_PX**2)

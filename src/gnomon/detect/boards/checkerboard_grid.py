@@ -184,6 +184,13 @@ def board_at(image: Grey, grid: Floats) -> CheckerboardGrid | None:
     return board if contrast > _LEAST_CONTRAST and board.complete and not goes_on else None
 
 
+def reaches_outside(image: Grey, grid: Floats) -> bool:
+    """Tell whether so many corners of a side are outside the image that no board there is complete."""
+    limits = [image.shape[1], image.shape[0]]  # a pixel beyond, since squares are read at whole pixels
+    inside = np.asarray(((grid >= -1) & (grid <= limits)).all(axis=2), dtype=np.bool_)
+    return any(line.mean() <= _CLEAR_SHARE_OF_LINE for line in (inside[0], inside[-1], inside[:, 0], inside[:, -1]))
+
+
 def _levels(image: Grey, grid: Floats) -> tuple[Booleans, Floats, Floats]:
     """Read the four squares at every corner of a grid.
 

@@ -13,7 +13,6 @@ from collections import deque
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from ...frozen import value_class
 from ...models.camera import Booleans
@@ -262,9 +261,16 @@ def _neighbours(image: Grey, saddles: Saddles) -> tuple[Floats, Integers]:
 
 def _near(pixels: Floats) -> Integers:
     """Return the nearest other ones of each pixel, (n, k)."""
-    count = min(_NEAR + 1, len(pixels))
-    _, near = KDTree(pixels).query(pixels, k=count)
-    return np.asarray(near, np.int64)[:, 1:]
+    apart = squared_distances(pixels, pixels)
+    np.fill_diagonal(apart, np.inf)
+    count = min(_NEAR, len(pixels) - 1)
+    return np.argpartition(apart, count - 1, axis=1)[:, :count]
+
+
+def squared_distances(first: Floats, second: Floats) -> Floats:
+    """Return how far points (n, 2) are from points (m, 2), squared, (n, m): few points need no tree."""
+    step = first[:, None] - second
+    return np.asarray(np.einsum("nmk,nmk->nm", step, step), np.float64)
 
 
 def _edge_between(image: Grey, saddles: Saddles, directions: Floats, following: Integers) -> Booleans:

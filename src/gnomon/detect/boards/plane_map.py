@@ -23,6 +23,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
 from ..corners.fitted_corners import CornerFits
+from .board import middle_of
 from .tag_places import fit_homography, map_points
 
 _TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points
@@ -301,7 +302,7 @@ class LensGuess:
             return None
         for near in dict.fromkeys((self._last, None)):
             found = plane_map(points, pixels, size, near)
-            if np.median(np.abs(found.residual_px)) < _ASTRAY_PX:
+            if middle_of(np.abs(found.residual_px)) < _ASTRAY_PX:
                 if near is None or not np.array_equal(found.parameters[9:], near.parameters[9:]):
                     self._last, self._reach = found, 0.0
                 self._reach = max(self._reach, float(found.radius.max()))

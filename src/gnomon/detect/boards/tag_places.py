@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...kernel import library, load_kernel
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
@@ -103,7 +104,8 @@ def once_each(members: Integers, number: Integers, agrees: Booleans) -> Integers
     """Return the members (m,) of a group, of those with the same number the one that most others agree with."""
     votes = agrees.sum(axis=1)
     by_votes = members[np.argsort(-votes[members], kind="stable")]
-    return by_votes[np.unique(number[by_votes], return_index=True)[1]]
+    by_number = by_votes[np.argsort(number[by_votes], kind="stable")]
+    return by_number[np.diff(number[by_number], prepend=-1) > 0]
 
 
 def locate_points(board: Floats, pixels: Floats, points: Floats) -> Floats:
@@ -209,6 +211,8 @@ def _interpolated(board: Floats, pixels: Floats, points: Floats, near: Integers,
 
 def fit_homography(points: Floats, pixels: Floats) -> Floats:
     """Return the homography (3, 3) that maps points (m, 2) to pixels (m, 2) best, by algebraic distance."""
+    if load_kernel() is not None:
+        return library.fit_homography(points, pixels)
     (from_, p), (to, q) = _normalised(points), _normalised(pixels)
     p = np.column_stack([p, np.ones(len(p))])
     by = np.column_stack([np.ones(len(q)), -q, np.square(q).sum(axis=1)])

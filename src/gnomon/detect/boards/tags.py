@@ -81,7 +81,7 @@ def _blurred(pictures: Floats, blur: float, border_bits: int) -> Floats:
     kernel = np.exp(-0.5 * np.square((fine[:, None] - np.arange(side)) / blur))
     kernel = kernel.reshape(side, _FINE, side).sum(axis=1)  # cell by cell that is looked at
     kernel /= kernel.sum(axis=0)
-    return np.einsum("ij,nik,kl->njl", kernel, pictures, kernel)[:, edge:-edge, edge:-edge]
+    return (kernel.T @ pictures @ kernel)[:, edge:-edge, edge:-edge]
 
 
 @cache
@@ -162,8 +162,8 @@ def likeness_of(image: Grey, corners: Floats, number: Integers, border_bits: int
     """
     if not len(number):
         return np.empty(0)
-    cells, seen = cells_in(image, corners[:, ::-1], BITS + 2 * border_bits)
-    code, within = _code(cells, border_bits), _code(seen, border_bits)
+    cells, within = cells_in(image, corners[:, ::-1], BITS + 2 * border_bits, border_bits)
+    code, within = cells.reshape(len(cells), -1), within.reshape(len(cells), -1)
     count = within.sum(axis=1)
     best = np.full(len(number), -1.0)
     for blur in _BLURS:
@@ -225,9 +225,13 @@ def marker_pictures(dictionary: str, blur: float) -> Floats:
     return turned
 
 
-def cells_in(image: Grey, quads: Floats, side: int) -> tuple[Floats, Floats]:
-    """Return the grey levels in the middle of the cells of tags, (q, side, side), 1 where these are in the image."""
-    at = (np.arange(side) + 0.5) / side
+def cells_in(image: Grey, quads: Floats, side: int, border: int = 0) -> tuple[Floats, Floats]:
+    """Return the grey levels in the middle of the cells of tags, (q, side, side), 1 where these are in the image.
+
+    Those of a border are left out.
+    """
+    at = (np.arange(border, side - border) + 0.5) / side
+    side = len(at)
     places = np.stack([np.tile(at, side), np.repeat(at, side), np.ones(side * side)])
     x, y, w = np.moveaxis(square_to_quads(quads) @ places, 1, 0)
     x, y = (x / w).astype(np.float32), (y / w).astype(np.float32)

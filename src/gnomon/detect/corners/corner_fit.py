@@ -185,7 +185,7 @@ def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floa
     """Return the corners to a tenth of a pixel or so, which saves iterations: where the gradients point past them."""
     nearer = guess.copy()
     halves = reach.astype(np.int64)
-    for half in np.unique(halves).tolist():
+    for half in sorted(set(halves.tolist())):  # np.unique imports numpy.ma, which takes as long as ten images
         chosen = np.flatnonzero(inside & (halves == half))
         if len(chosen) and min(image.shape) >= 2 * half + 5:
             start = np.ascontiguousarray(guess[chosen, None], dtype=np.float32)

@@ -1,12 +1,11 @@
 """Points of a board that were fitted, and how well."""
 
-from dataclasses import fields
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...frozen import value_class
+from ...frozen import field_names, value_class
 from ...models.camera import Booleans
 from ...recording import Floats
 
@@ -37,7 +36,7 @@ class PointFits:
 
     def only(self, chosen: NDArray[np.integer] | Booleans) -> Self:
         """Return some of the points."""
-        return type(self)(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
+        return type(self)(**{name: getattr(self, name)[chosen] for name in field_names(type(self))})
 
 
 @value_class
@@ -62,12 +61,8 @@ class CornerFits(PointFits):
 
 def join_corner_fits(first: CornerFits, second: CornerFits) -> CornerFits:
     """Return the corners of both."""
-    return CornerFits(
-        **{
-            item.name: np.concatenate([getattr(first, item.name), getattr(second, item.name)])
-            for item in fields(CornerFits)
-        }
-    )
+    both = {name: (getattr(first, name), getattr(second, name)) for name in field_names(CornerFits)}
+    return CornerFits(**{name: np.concatenate(values) for name, values in both.items()})
 
 
 def damp_diagonals(matrix: Floats) -> None:
