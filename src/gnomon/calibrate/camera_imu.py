@@ -63,6 +63,7 @@ from .steps.camera_imu_preparation import (
     refuse_clock_jumps,
     with_looks,
 )
+from .steps.camera_imu_temperature import biases_over_temperature
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 
@@ -230,7 +231,12 @@ def _assess(
             options=stated_options(replace(stated, compare=False), [fit.recording]),  # what is drawn changes no number
         ),
     )
-    return Result(calibration=with_changes(with_precision(calibration), trust), diagnostics=diagnostics)
+    calibration = with_changes(with_precision(calibration), trust)
+    calibration, told = biases_over_temperature(calibration, solution, certain, fit.recording, prepared.origin_ns)
+    if told:
+        assessed = calibration.assessment
+        calibration = replace(calibration, assessment=replace(assessed, findings=(*assessed.findings, *told)))
+    return Result(calibration=calibration, diagnostics=diagnostics)
 
 
 def _with_origins(

@@ -26,6 +26,7 @@ from .sensors import (
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
+    TemperatureDependence,
     interpolate_triad,
     rotate_imu,
 )
@@ -306,6 +307,25 @@ class Calibration:
         matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
+
+    def with_temperature(self, imu: str, found: TemperatureDependence, covariances: Mapping[str, Floats]) -> Self:
+        """Return the calibration with a dependence of an IMU on the temperature, which its other scalars do not share.
+
+        Parameters
+        ----------
+        covariances : of some parts of the dependence, in the order of the covariance; of others it is zero
+        """
+        imus = {**self.imus, imu: replace(self.imus[imu], temperature=found)}
+        names = covariance_names(imus, self.cameras)
+        at = {name: i for i, name in enumerate(names)}
+        matrix = np.zeros((len(names), len(names)))
+        known = [i for i, name in enumerate(self.uncertainty.names) if name in at]
+        rows = [at[self.uncertainty.names[i]] for i in known]
+        matrix[np.ix_(rows, rows)] = self.uncertainty.matrix[np.ix_(known, known)]
+        for part, covariance in covariances.items():
+            own = [i for name, i in at.items() if name.startswith(f"{imu}.temperature.{part}[")]
+            matrix[np.ix_(own, own)] = covariance
+        return replace(self, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
 
     def at_temperature(self, degc: float) -> Self:
         """Return the calibration as it is at a temperature of the chip, on which it then depends no longer.

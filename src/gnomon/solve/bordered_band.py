@@ -229,6 +229,15 @@ class Factor:
         left, right = self.schur_sides[free, a], self.schur_sides[free, b]
         return inner + float(left @ schur_inverse @ right)
 
+    def quadratics(self, right: Floats, free: NDArray[np.intp], schur_inverse: Floats) -> Floats:
+        """Return R' N^-1 R (k, k) of right-hand sides (n, d, k) of the control points; see `quadratic`."""
+        forward = self._forward(right)
+        sides = np.tensordot(self.eliminated[:, self._border], forward, axes=((0, 2), (0, 2)))
+        if self.wide is not None:
+            wide = sum(rows @ forward[k].T for k, rows in _wide_rows(self.wide, self))
+            sides = np.concatenate([sides, np.asarray(wide)])
+        return np.tensordot(forward, forward, axes=((0, 2), (0, 2))) + sides[free].T @ schur_inverse @ sides[free]
+
     def inner(self, sides: NDArray[np.intp]) -> Floats:
         """Return r_a' (band alone)^-1 r_b of all pairs of some right-hand sides."""
         rows = self.eliminated[:, self.lower.shape[1] + self.narrow + sides]

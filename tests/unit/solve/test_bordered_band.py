@@ -155,6 +155,18 @@ def test_marquardt_damping_scales_the_diagonal():
     np.testing.assert_allclose(factor.substituted(0, parameters).ravel(), expected[:55], rtol=0, atol=1e-12)
 
 
+def test_right_hand_sides_that_come_later():
+    system, dense, _ = equations(controls=11, order=4, groups=(3, 2), parameters=3)
+    factor = system.factorised()
+    later = np.random.default_rng(5).normal(size=(11, 5, 4))
+    there = np.concatenate([later.reshape(55, 4), np.zeros((3, 4))])
+    held = np.arange(55 + 2)  # the last parameter of the border is not free
+    for kept, free in ((np.arange(58), np.arange(3)), (held, np.arange(2))):
+        found = factor.quadratics(later, free, np.linalg.inv(factor.schur[np.ix_(free, free)]))
+        expected = there[kept].T @ np.linalg.solve(dense[np.ix_(kept, kept)], there[kept])
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
 def test_badly_scaled_equations():
     # Units of radians, metres and seconds differ by many powers of ten.
     system, dense, right = equations(controls=20, order=5, groups=(3, 3), parameters=4, sides=1)

@@ -73,6 +73,8 @@ def test_a_wide_border_is_the_border(shape):
                 expected.quadratic(0, side, free, covariance), rel=1e-9
             )
         np.testing.assert_allclose(found.inner(np.arange(q)), expected.inner(np.arange(q)), rtol=1e-12)
+        later = [one.quadratics(full.rhs, free, covariance) for one in (found, expected)]
+        np.testing.assert_allclose(*later, rtol=1e-8, atol=1e-12)
         if wide:
             added = np.random.default_rng(1).normal(size=(wide, p + q))
             followed = expected.chain_solutions(np.r_[:p, count : count + q])

@@ -8,6 +8,7 @@ from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.imu_diagnostics import BiasSegments, ImuDiagnostics
+from ...results.sensors import TemperatureDependence
 from ..checks.protocol import significant_cluster
 from .imu_tables import ImuFitSummary, interval_numbers
 
@@ -65,25 +66,39 @@ def _slope_findings(evidence: ImuFitSummary) -> Iterator[Finding]:
     found = evidence.temperature
     if found is None:
         return
-    at = np.linspace(found.low_degc, found.high_degc, _CURVE)
     first = len(evidence.unseen_sigma)
     for part, coefficients in found.parts():
-        triad = part.removesuffix("_bias")
         own = slice(first, first := first + coefficients.size)
-        moved = found.change(part, at) / _per_si(evidence, triad)
-        worst = int(np.argmax(np.ptp(moved, axis=0)))
-        powers = np.vander(at - found.reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
-        ends = powers[np.argmax(moved[:, worst])] - powers[np.argmin(moved[:, worst])]
-        variance = ends @ evidence.estimate.covariance[own, own][worst::3, worst::3] @ ends
-        yield make_finding(
-            "temperature-slope",
-            triad=triad,
-            change=_shown(triad, float(np.ptp(moved[:, worst]))),
-            sigma=_shown(triad, float(np.sqrt(variance) / _per_si(evidence, triad)[worst])),
-            low=found.low_degc,
-            high=found.high_degc,
-            reference=found.reference_degc,
-        )
+        per_si = _per_si(evidence, part.removesuffix("_bias"))
+        scale = np.tile(1 / per_si, len(coefficients))
+        covariance = evidence.estimate.covariance[own, own] * np.outer(scale, scale)
+        yield slope_finding(part, coefficients / per_si, covariance, found)
+
+
+def slope_finding(part: str, coefficients: Floats, covariance: Floats, found: TemperatureDependence) -> Finding:
+    """Say by how much a bias follows the temperature.
+
+    Parameters
+    ----------
+    part : such as "gyroscope_bias"
+    coefficients, covariance : (order, 3) and (3 order, 3 order) [SI per K^j]
+    found : in which range, about which reference
+    """
+    triad = part.removesuffix("_bias")
+    d = np.linspace(found.low_degc, found.high_degc, _CURVE) - found.reference_degc
+    powers = np.vander(d, len(coefficients) + 1, increasing=True)[:, 1:]
+    moved = powers @ coefficients
+    worst = int(np.argmax(np.ptp(moved, axis=0)))
+    ends = powers[np.argmax(moved[:, worst])] - powers[np.argmin(moved[:, worst])]
+    return make_finding(
+        "temperature-slope",
+        triad=triad,
+        change=_shown(triad, float(np.ptp(moved[:, worst]))),
+        sigma=_shown(triad, float(np.sqrt(ends @ covariance[worst::3, worst::3] @ ends))),
+        low=found.low_degc,
+        high=found.high_degc,
+        reference=found.reference_degc,
+    )
 
 
 def step_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:

@@ -16,11 +16,11 @@ from .model import PARAMETERS, BiasFunctions, MultiPositionData
 
 _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
-_WEAK_K, _WEAK_LAG_S = 10.0, 100.0
+_WEAK_K, WEAK_LAG_S = 10.0, 100.0
 """Change of the temperature that is as weakly known to move a bias [K], and lag of the thermometer [s]."""
-_USUAL_SLOPE = {"gyroscope": 8.7e-4, "accelerometer": 1e-2}
+USUAL_SLOPE = {"gyroscope": 8.7e-4, "accelerometer": 1e-2}
 """Of a bias, 0.05 deg/s and 1 mg a kelvin [rad/s/K, m/s^2/K]; see `options.requirements.BETWEEN_RECORDINGS`."""
-_BENDS_K = 50.0
+BENDS_K = 50.0
 """Chips are made for some 125 K, over which their data sheets draw such curves as bend."""
 
 
@@ -112,7 +112,7 @@ def with_temperature(
     """Return the data with biases that follow powers of the temperature T, which the data tell at rest and in motion.
 
     A thermometer that reads x and follows with a lag has T = x + lag x': the rate x' takes up what the lag leaves. Each
-    higher power is expected to be worth as much as a usual slope is where the temperature differs by `_BENDS_K`.
+    higher power is expected to be worth as much as a usual slope is where the temperature differs by `BENDS_K`.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ def with_temperature(
         return data
     at_rest, in_motion = data.degc
     follows = {"gyroscope": gyroscope, "accelerometer": accelerometer}
-    for (triad, slope), sensitivity in zip(_USUAL_SLOPE.items(), sensitivities, strict=True):
+    for (triad, slope), sensitivity in zip(USUAL_SLOPE.items(), sensitivities, strict=True):
         if follows[triad]:
             kind = ("temperature", "warming", *["curve"] * (at_rest.shape[1] - 2))
-            weak = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [_WEAK_LAG_S] * 3])
-            curves = [slope * sensitivity / _BENDS_K**power for power in range(1, len(kind) - 1)]
+            weak = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [WEAK_LAG_S] * 3])
+            curves = [slope * sensitivity / BENDS_K**power for power in range(1, len(kind) - 1)]
             sigma = np.concatenate([weak, np.reshape(curves, (-1, 3))])
             function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=kind, sigma=sigma)
             data = replace(data, **{f"{triad}_functions": getattr(data, f"of_{triad}").beside(function)})
