@@ -282,5 +282,8 @@ BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
 """By how much one sensor differs from recording to recording, standard deviation [SI]: switched on anew, at another
 temperature, mounted anew in its box. One recording cannot tell; several, joined, measure it."""
 
+USUAL_SLOPE: Mapping[str, float] = FrozenMapping({"gyroscope": 0.05 * _DEG, "accelerometer": 1e-3 * _G})
+"""Of a bias with the temperature, from memory of data sheets, as above [rad/s/K, m/s^2/K]."""
+
 TURN_ON = ("accelerometer_bias", "gyroscope_bias")
 """What every use has to follow by itself, since it is another one after each switching-on."""

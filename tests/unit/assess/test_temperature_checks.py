@@ -37,6 +37,17 @@ def test_the_wait_is_what_brings_it_within_half_a_kelvin() -> None:
     assert float(finding.cure.split("wait ")[1].split()[0]) == pytest.approx(wait, abs=3)
 
 
+def test_the_wait_for_a_use_is_what_its_biases_need() -> None:
+    """Gimbals need 0.02 deg/s, which 0.4 K change, horizons 0.05 deg/s: 1 K. What is left is less than that already."""
+    samples = TemperatureSamples(t_ns=(T * 1e9).astype(np.int64), values=25 - 6 * np.exp(-T / 300), unit="degC")
+    (finding,) = check_temperature(samples, "imu0 thermometer")
+    waits = dict(part.split(" ", 1) for part in finding.cure.rstrip(".").split("kelvin: ")[1].split("; "))
+    assert waits["vio"] == "1.0 K, at once"
+    near, wait = waits["gimbal"].split(" K, ")
+    assert near == "0.4"
+    assert float(wait.removesuffix(" s")) == pytest.approx(300 * np.log(6 * np.exp(-T[-1] / 300) / 0.4), abs=6)
+
+
 @pytest.mark.parametrize(
     ("values", "unit", "found"),
     [

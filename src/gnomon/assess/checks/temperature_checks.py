@@ -6,6 +6,7 @@ from math import log
 import numpy as np
 
 from ...findings import Finding, make_finding
+from ...options.requirements import USES, USUAL_SLOPE, Use
 from ...recording import Floats, ImuSamples, TemperatureSamples, smallest_steps
 
 CHIP_DEGC = (-60.0, 130.0)
@@ -78,7 +79,15 @@ def _course(t_s: Floats, celsius: Floats, step_k: float, label: str) -> Finding:
         remaining=remaining,
         wait=time_constant * log(remaining / _NEAR_K),
         near=_NEAR_K,
+        uses="; ".join(_wait(use, time_constant, remaining) for use in USES.values()),
     )
+
+
+def _wait(use: Use, time_constant_s: float, remaining_k: float) -> str:
+    """Return how long to wait until usual biases move by less than a use needs."""
+    near = min(use.needs[f"{triad}_bias"] / slope for triad, slope in USUAL_SLOPE.items())
+    wait = max(time_constant_s * log(remaining_k / near), 0.0)
+    return f"{use.name} {near:.1f} K, {f'{wait:.0f} s' if wait else 'at once'}"
 
 
 def warm_up(t_s: Floats, celsius: Floats) -> tuple[float, float] | None:

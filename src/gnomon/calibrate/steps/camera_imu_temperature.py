@@ -11,8 +11,9 @@ from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import Solution
 from ...estimate.camera_imu.trajectory import BIAS
 from ...estimate.multiposition.bias_changes import DECAYS
-from ...estimate.multiposition.bias_segments import BENDS_K, USUAL_SLOPE, WEAK_LAG_S
+from ...estimate.multiposition.bias_segments import BENDS_K, WEAK_LAG_S
 from ...findings import Finding
+from ...options.requirements import USUAL_SLOPE
 from ...recording import Floats, Recording
 from ...recording.thermometer import temperature_course
 from ...results.calibration import Calibration

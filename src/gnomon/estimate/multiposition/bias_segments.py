@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...options.requirements import USUAL_SLOPE
 from ...recording import Floats, Integers
 from .bias_changes import shares_before
 from .drift import mean_at_rest
@@ -18,8 +19,6 @@ _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
 _WEAK_K, WEAK_LAG_S = 10.0, 100.0
 """Change of the temperature that is as weakly known to move a bias [K], and lag of the thermometer [s]."""
-USUAL_SLOPE = {"gyroscope": 8.7e-4, "accelerometer": 1e-2}
-"""Of a bias, 0.05 deg/s and 1 mg a kelvin [rad/s/K, m/s^2/K]; see `options.requirements.BETWEEN_RECORDINGS`."""
 BENDS_K = 50.0
 """Chips are made for some 125 K, over which their data sheets draw such curves as bend."""
 
