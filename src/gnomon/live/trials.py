@@ -20,8 +20,8 @@ from ..units import Units
 from .faults import Fault
 
 _NICE = 10
-_TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow", "clock-drift"})
-"""Findings of `gnomon check` that a longer recording mends."""
+_TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow"})
+"""Findings of `gnomon check` that a longer recording mends; so does a warning that clocks drift."""
 
 
 @value_class(eq=True)
@@ -127,6 +127,7 @@ def check_setup(recording: Recording, target: Target) -> tuple[Fault, ...]:
         Fault(code=finding.code, text=f"{finding.message} {finding.cure}")
         for finding in check_corners(recording, target)
         if finding.severity in {"problem", "warning"} and finding.code not in _TOO_LITTLE
+        if (finding.severity, finding.code) != ("warning", "clock-drift")
     )
 
 

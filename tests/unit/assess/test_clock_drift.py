@@ -8,6 +8,7 @@ import pytest
 import gnomon
 from gnomon.assess.checks.clock_drift import check_drift, clock_drift
 from gnomon.assess.checks.rig_checks import check_recording_rig
+from gnomon.errors import RecordingError
 from gnomon.estimate.camera_imu.start.board_poses import board_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
@@ -55,6 +56,20 @@ def test_finding(simulated) -> None:
     assert "by the rotation that both felt" in fast[0].message
     assert fast[0].consequence
     assert fast[0].cure
+
+
+@pytest.mark.parametrize("ppm", [5000.0, -10000.0, 30000.0])
+def test_a_drift_beyond_one_time_shift_is_named_before_the_estimation(simulated, ppm) -> None:
+    """Of 5000 ppm the streams align badly; of 30000 ppm not at all."""
+    recording = drifting(simulated.recording, ppm)
+    told = [finding for finding in check_recording_rig(recording, simulated.target) if finding.severity != "good"]
+    assert [(finding.severity, finding.code) for finding in told] == [("problem", "clock-drift")]
+    drift, _, sigma, _ = told[0].message.partition("drift apart by ")[2].split(maxsplit=3)
+    passed = 1 - 1e-6 * ppm  # of the camera's time in a second of the IMU's, by which the time shift is told
+    assert float(drift) == pytest.approx(ppm / passed, abs=4 * float(sigma))
+    assert float(sigma) < 200
+    with pytest.raises(RecordingError, match="drift apart"):
+        gnomon.calibrate_camera_imu(recording, simulated.target)
 
 
 @pytest.mark.long

@@ -146,7 +146,7 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
         return [Finding(severity="warning", code=code, message=message) for code, message in told], None
 
     monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.check_look", look_at)
-    monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.check_clock_steps", lambda *_: [])
+    monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.check_clock_changes", lambda *_: [])
     monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.gyroscope_integral", lambda *_: None)
     aligned = SimpleNamespace(score=1.0)
     frames = simulation.recording.cameras["cam0"]

@@ -10,9 +10,10 @@ from ...detect.samples.saturation import saturated_samples
 from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import (
     Alignment,
+    ClockGrowth,
     GyroscopeIntegral,
     align_camera,
-    clock_steps,
+    clock_changes,
     gyroscope_integral,
 )
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses
@@ -104,10 +105,10 @@ def _beside(
         try:
             alignment = align_camera(poses, integral, name)
         except InitialisationError as error:
-            jumps = check_clock_steps(name, poses, integral, None, imu)
+            jumps = check_clock_changes(name, poses, integral, None, imu)
             findings += jumps or [make_finding("not-aligned", reason=str(error))]
             continue
-        if jumps := check_clock_steps(name, poses, integral, alignment, imu):
+        if jumps := check_clock_changes(name, poses, integral, alignment, imu):
             findings += jumps  # all that follows would be about a time shift that does not hold
             continue
         camera = frames.camera if lens else None
@@ -240,12 +241,12 @@ def _late(name: str, times: FrameTimes) -> list[Finding]:
     return [make_finding("frames-late", name=name, share=share, median_off=np.median(off[late]), largest_off=off.max())]
 
 
-def check_clock_steps(
+def check_clock_changes(
     name: str, poses: BoardPoses, integral: GyroscopeIntegral, alignment: Alignment | None, imu: str
 ) -> list[Finding]:
-    """Return a problem for each jump of a clock that is too large for one time shift to begin with (code clock-jump).
+    """Return what of the clocks is too bad for one time shift to begin with (codes clock-jump, clock-drift).
 
-    A gyroscope whose range changed looks the same, and is told instead (code gyroscope-range-changed).
+    A gyroscope whose range changed looks like jumps, and is told instead (code gyroscope-range-changed).
 
     Parameters
     ----------
@@ -255,7 +256,21 @@ def check_clock_steps(
     """
     shift_s = 0.0 if alignment is None else alignment.time_shift_s
     findings = _range_changed(imu, turns_between_frames(poses, integral, shift_s))
-    for step in () if findings else clock_steps(poses, integral, alignment):
+    changes = () if findings else clock_changes(poses, integral, alignment)
+    if isinstance(changes, ClockGrowth):
+        length_s, drift = float(poses.t_s[-1] - poses.t_s[0]), changes.drift
+        return [
+            make_finding(
+                "clock-drift/far",
+                camera=name,
+                imu=imu,
+                drift=drift,
+                sigma=changes.sigma,
+                growth_s=drift * length_s,
+                length_s=length_s,
+            )
+        ]
+    for step in changes:
         ahead_s = step.before_s - step.after_s  # of the camera's clock against the IMU's
         # A clock that was set forward leaves a gap of that length in its own stream.
         if ahead_s > 0:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...assess.checks.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ...assess.checks.camera_checks import check_cameras
-from ...assess.checks.rig_checks import check_clock_steps, check_look, name_imu
+from ...assess.checks.rig_checks import check_clock_changes, check_look, name_imu
 from ...assess.prior_findings import cameras_disagree
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
 from ...detect.samples.repair import repair_samples
@@ -280,11 +280,11 @@ def refuse_clock_jumps(
     for number, stream in enumerate(streams):
         for name, frames in list(cameras.items())[: 1 if number else None]:
             t_s = np.asarray((frames.t_ns - prepared.origin_ns) * 1e-9, dtype=np.float64)
-            _refuse_clock_steps(name, board_poses(frames, target, t_s), None, stream, prepared.imus[number].name)
+            _refuse_clocks(name, board_poses(frames, target, t_s), None, stream, prepared.imus[number].name)
 
 
-def _refuse_clock_steps(name: str, poses: BoardPoses, alignment: Alignment | None, stream: ImuStream, imu: str) -> None:
-    for finding in check_clock_steps(name, poses, gyroscope_integral(stream.t_s, stream.rate), alignment, imu):
+def _refuse_clocks(name: str, poses: BoardPoses, alignment: Alignment | None, stream: ImuStream, imu: str) -> None:
+    for finding in check_clock_changes(name, poses, gyroscope_integral(stream.t_s, stream.rate), alignment, imu):
         raise RecordingError(str(finding))
 
 
@@ -325,7 +325,7 @@ def _looked(
     """Return what a camera and an IMU say of each other."""
     if look.alignment.score == 0:
         return [], None  # taken as stated, since nothing tells it
-    _refuse_clock_steps(look.name, look.poses, look.alignment, stream, prepared.imus[number].name)
+    _refuse_clocks(look.name, look.poses, look.alignment, stream, prepared.imus[number].name)
     gyroscope = next(data.gyroscope for data in prepared.inertial if data.imu == number and data.gyroscope is not None)
     return check_look(
         look.name,

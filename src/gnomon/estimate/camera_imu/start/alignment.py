@@ -34,6 +34,7 @@ _WINDOW_RAD_S, _TWO_AXES = 0.1, 0.2  # of the second axis, rms; and of the first
 _SAME_AXES_RAD = 0.1
 _LEAST_STEP_S, _STEP_TIMES = 0.02, 8.0  # a step, and times the usual change between windows
 _WORSE, _SURE = 1.2, 30.0  # a single shift leaves so many times the variance in a part; its log-likelihood, at least
+_FEWEST_WINDOWS, _LEAST_GROWTH_S, _BENT = 4, 0.1, 0.1  # of a drift: windows, growth, and off the line, of the growth
 
 
 @value_class
@@ -169,8 +170,18 @@ class ClockStep:
     after_s: float
 
 
-def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Alignment | None) -> tuple[ClockStep, ...]:
-    """Return where the time shift steps by so much that the rotation cannot be explained with a single one.
+@value_class
+class ClockGrowth:
+    """By how much the time shift t_imu - t_cam grows in a second, and the standard deviation of that."""
+
+    drift: float
+    sigma: float
+
+
+def clock_changes(
+    poses: BoardPoses, integral: GyroscopeIntegral, alignment: Alignment | None
+) -> tuple[ClockStep, ...] | ClockGrowth:
+    """Return where the time shift steps, or how it grows, by so much that a single one cannot explain the rotation.
 
     Each window of the recording is aligned by itself, at any time shift. Windows count where the gyroscope explains the
     camera's rotation about two axes at least, by the same rotation between their axes as in most of the others: a
@@ -186,16 +197,11 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
     turns = _turns(poses)
     if not _alike_in_size(turns, integral):  # another unit or another recording is what is to be said
         return ()
-    windows = _windows(turns)
-    if alignment is not None and all(_explains(poses, window, integral, alignment.time_shift_s) for window in windows):
+    kept = _aligned_windows(poses, turns, integral, alignment)
+    if len(kept) < 2:
         return ()
-    found = [(window, one) for window in windows if (one := _window_alignment(poses, window, integral)) is not None]
-    if len(found) < 2:
-        return ()
-    R = np.array([one.R_cam_imu for _, one in found])
-    alike = np.trace(np.swapaxes(R, 1, 2)[:, None] @ R[None], axis1=2, axis2=3) > 1 + 2 * np.cos(_SAME_AXES_RAD)
-    most = alike[int(alike.sum(axis=1).argmax())]
-    kept = [one for one, same in zip(found, most.tolist(), strict=True) if same]
+    if (growth := _growth(kept)) is not None:
+        return growth
     shifts = np.array([one.time_shift_s for _, one in kept])
     changes = np.diff(shifts)
     least = max(_LEAST_STEP_S, _STEP_TIMES * float(np.median(np.abs(changes)))) if len(changes) > 2 else _LEAST_STEP_S
@@ -211,6 +217,36 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
         _located(turns, integral, kept[first], kept[last], (levels[k], levels[k + 1]))
         for k, (first, last) in enumerate(spans)
     )
+
+
+def _aligned_windows(
+    poses: BoardPoses, turns: "_Turns", integral: GyroscopeIntegral, alignment: Alignment | None
+) -> list[tuple["_Turns", Alignment]]:
+    """Return the windows that count, each aligned by itself; none where one alignment explains them all."""
+    windows = _windows(turns)
+    if alignment is not None and all(_explains(poses, window, integral, alignment.time_shift_s) for window in windows):
+        return []
+    found = [(window, one) for window in windows if (one := _window_alignment(poses, window, integral)) is not None]
+    if len(found) < 2:
+        return []
+    R = np.array([one.R_cam_imu for _, one in found])
+    alike = np.trace(np.swapaxes(R, 1, 2)[:, None] @ R[None], axis1=2, axis2=3) > 1 + 2 * np.cos(_SAME_AXES_RAD)
+    most = alike[int(alike.sum(axis=1).argmax())]
+    return [one for one, same in zip(found, most.tolist(), strict=True) if same]
+
+
+def _growth(windows: Sequence[tuple["_Turns", Alignment]]) -> ClockGrowth | None:
+    """Return how the time shift grows from window to window, where that is a straight line and no small one."""
+    if len(windows) < _FEWEST_WINDOWS:
+        return None
+    t = np.array([float((window.start_s + window.stop_s).mean()) / 2 for window, _ in windows])
+    shift = np.array([one.time_shift_s for _, one in windows])
+    drift = float(np.median(np.diff(shift) / np.diff(t)))  # a step changes one of them
+    off, growth = shift - drift * t, abs(drift) * float(t[-1] - t[0])
+    if growth < _LEAST_GROWTH_S or float(np.abs(off - np.median(off)).max()) > _BENT * growth:
+        return None
+    (drift, _), covariance = np.polyfit(t, shift, 1, cov=True)
+    return ClockGrowth(drift=float(drift), sigma=float(np.sqrt(covariance[0, 0])))
 
 
 def _alike_in_size(turns: "_Turns", integral: GyroscopeIntegral) -> bool:
