@@ -31,6 +31,7 @@ from scipy.linalg.blas import (
 from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 
 from ..frozen import value_class
+from .tied_band import TiedLayout
 
 Floats = NDArray[np.float64]
 
@@ -118,6 +119,8 @@ class BorderedBand:
     tail : (n, d, p + q) both of them, one behind the other
     corner : (p + w, p + w), corner_rhs : (p + w, q) the same of the border parameters, the w wide ones last
     wide : the w further border parameters, or None
+    ties : by which all groups but the first have one value for every super-block, or None; given is `tied`, the first
+        control point that has one
     """
 
     def __init__(
@@ -130,8 +133,12 @@ class BorderedBand:
         sides: int,
         workspace: Workspace | None = None,
         wide: WideBorder | None = None,
+        tied: int | None = None,
     ) -> None:
         self.wide = wide
+        self.ties = (
+            None if tied is None else TiedLayout(controls=controls, per_block=order - 1, groups=groups, offset=tied)
+        )
         self.workspace = workspace or Workspace()
         self.workspace.take(wide)
         self.groups = groups
@@ -189,6 +196,7 @@ class Factor:
     wide : the wide part of the border, or None
     taken : (w, w) what the chain takes from the wide part of the Schur complement
     borrowed : whether that is from similar equations
+    ties : see `BorderedBand`
     """
 
     lower: Floats
@@ -200,6 +208,7 @@ class Factor:
     wide: WideBorder | None = None
     taken: Floats | None = None
     borrowed: bool = False
+    ties: TiedLayout | None = None
 
     @property
     def narrow(self) -> int:
@@ -261,7 +270,9 @@ class Factor:
             rhs = right[k] - following @ self.eliminated[k, :s]
             following = dtrsv(self.lower[k].T, rhs, lower=1, trans=1)
             solution[k] = following
-        return solution.reshape(-1, self.size)[: self.controls]
+        if self.ties is None:
+            return solution.reshape(-1, self.size)[: self.controls]
+        return self.ties.unfolded(solution)
 
     def chain_solutions(
         self, columns: NDArray[np.intp], wide: Floats | None = None, out: Floats | None = None
@@ -277,7 +288,8 @@ class Factor:
         blocks, s = self.lower.shape[:2]
         found = np.empty((self.controls, self.size, len(columns))) if out is None else out
         beyond = None if wide is None or self.wide is None else self._forward(self.wide.times(wide))
-        flat = found.reshape(-1, len(columns))
+        flat, ties = found.reshape(-1, len(columns)), self.ties
+        tied = np.empty((blocks, 0 if ties is None else s - ties.own, len(columns)))
         following = np.zeros((len(columns), s))
         for k in range(blocks - 1, -1, -1):
             right = self.eliminated[k, s + columns]  # transposed: (k, s)
@@ -285,14 +297,19 @@ class Factor:
             if beyond is not None:
                 right += beyond[k]
             dtrsm(1.0, self.lower[k].T, right.T, lower=1, trans_a=1, overwrite_b=1)
-            flat[k * s : (k + 1) * s] = right.T[: len(flat) - k * s]
+            if ties is None:
+                flat[k * s : (k + 1) * s] = right.T[: len(flat) - k * s]
+            else:
+                tied[k] = ties.take(k, right.T, found)
             following = right
+        if ties is not None:
+            ties.spread(tied, found)
         return found
 
     def _forward(self, right: Floats) -> Floats:
         """Return L^-1 of right-hand sides (n, d, k), block by block and transposed (b, k, s)."""
         (blocks, s), count = self.lower.shape[:2], right.shape[2]
-        flat = right.reshape(-1, count)
+        flat = (right if self.ties is None else self.ties.folded(right)).reshape(-1, count)
         found = np.zeros((blocks, count, s))
         for k in range(blocks):
             part = flat[k * s : (k + 1) * s].T
@@ -331,6 +348,13 @@ class Factor:
             z_next = z
         return result, following
 
+    def variances(self, marginals: tuple[Floats, Floats]) -> Floats:
+        """Return the variances (n, d) of the control points' scalars from `marginals`."""
+        own, following = marginals
+        if self.ties is not None:
+            return self.ties.variances(own, following)
+        return np.einsum("bii->bi", own).reshape(-1, self.size)[: self.controls]
+
 
 def _factorise(system: BorderedBand, similar: Factor | None) -> Factor:
     p, q = system.border.shape[2], system.rhs.shape[2]
@@ -360,6 +384,7 @@ def _factorise(system: BorderedBand, similar: Factor | None) -> Factor:
         controls=len(system.border),
         size=sum(system.groups),
         wide=system.wide,
+        ties=system.ties,
     )
     if system.wide is None or not system.wide.size:
         return factor
@@ -396,12 +421,14 @@ def _taken(wide: WideBorder, factor: Factor) -> Floats:
 
 def _wide_rows(wide: WideBorder, factor: Factor) -> Iterator[tuple[int, Floats]]:
     """Yield L^-1 F of the wide border, transposed (w, s), block after block."""
-    s, d = factor.lower.shape[1], factor.size
+    s, d, own = factor.lower.shape[1], factor.size, factor.lower.shape[1]
+    if factor.ties is not None:
+        d, own = factor.ties.groups[0], factor.ties.own
     before = np.zeros((wide.size, s))
     for k in range(len(factor.lower)):
         inverse = dtrtri(factor.lower[k].T, lower=1)[0].T
-        first = k * (s // d)
-        rows = wide.transposed_times(inverse.reshape(-1, d, s)[: factor.controls - first], first)
+        first = k * (own // d)
+        rows = wide.transposed_times(inverse[:own].reshape(-1, d, s)[: factor.controls - first], first)
         if k:
             rows -= before @ (factor.eliminated[k - 1, :s].T @ inverse)
         before = rows
@@ -414,7 +441,13 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
     Transposed rows in C order are columns in Fortran order, so that LAPACK works in place.
     """
     n, d, p = system.border.shape
-    order, q = system.order, system.rhs.shape[2]
+    order, q, ties = system.order, system.rhs.shape[2], system.ties
+    if ties is not None:
+        lower = system.workspace.zeros(_LOWER, (ties.blocks, ties.size, ties.size))
+        chain = system.workspace.zeros(_CHAIN, (ties.blocks, ties.size + p + q, ties.size))
+        ties.gather(system.band, lower, chain)
+        chain[:, ties.size :] = np.swapaxes(ties.folded(system.tail), 1, 2)
+        return lower, chain
     per_block = max(order - 1, 1)
     blocks, s = -(-n // per_block), per_block * d
     lower = system.workspace.zeros(_LOWER, (blocks, s, s))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+from gnomon.estimate.camera_imu import knots
 from gnomon.estimate.camera_imu.gauss_newton import Iteration
 from gnomon.estimate.camera_imu.solution import _stalled  # pyright: ignore[reportPrivateUsage]
 
@@ -60,3 +61,30 @@ def test_images_delivered_twice_count_once():
     assert "views-copied" in {finding.code for finding in calibration.assessment.findings}
     truth = simulation.truth.with_origin(calibration.imus["imu0"].origin)
     assert (np.abs(calibration.parameter(path) - truth.parameter(path)) < 4 * calibration.sigma(path)).all()
+
+
+@pytest.mark.parametrize("walks", [(0.8, True), (1.3, False)], ids=["below the limit", "above it"])
+def test_biases_that_bend_less_often_change_nothing_that_counts(walks, monkeypatch):
+    """Where walks are as strong as they may be for it, against the noise of the readings."""
+    times, tied = walks
+    density = {"gyroscope": 1.7e-4, "accelerometer": 2e-3}
+    stated = {f"{kind}_random_walk": 4 * times * value for kind, value in density.items()}  # 0.1 / (0.5 * 0.05 s)
+    stated |= {f"{kind}_noise_density": value for kind, value in density.items()}
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=8.0, **stated), 5)
+    options = CameraImuOptions(gravity=9.80665, model="full", compare=True)
+    found = []
+    for limit in (knots._STRAYS, 0.0):  # pyright: ignore[reportPrivateUsage]
+        monkeypatch.setattr(knots, "_STRAYS", limit)
+        found.append(calibrate_camera_imu(simulation.recording, simulation.target, options))
+    free = found[1].calibration
+    paths = ("imu0.gyroscope.sensitivity", "imu0.accelerometer.sensitivity", "cam0.T_cam_imu.translation")
+    sigmas = [np.sqrt(np.diag(one.calibration.uncertainty.matrix)) for one in found]
+    some = sigmas[1] > 0
+    ratio = sigmas[0][some] / sigmas[1][some]
+    assert (ratio != 1.0).any() == tied
+    np.testing.assert_allclose(ratio, 1.0, atol=0.01)
+    for path in paths:
+        off = np.abs(found[0].calibration.parameter(path) - free.parameter(path))
+        assert (off <= 0.01 * free.sigma(path)).all()
+    for name, track in found[1].diagnostics.biases.items():
+        np.testing.assert_allclose(found[0].diagnostics.biases[name].sigma, track.sigma, rtol=0.1)

@@ -204,13 +204,13 @@ def _marginals(evidence: CameraImuFitSummary) -> tuple[Floats, Floats] | None:
 def _biases(evidence: CameraImuFitSummary, marginals: tuple[Floats, Floats] | None) -> dict[str, BiasTrack]:
     """Return the biases at the knots, with their standard deviations; nan without marginals."""
     solution = evidence.solution
-    trajectory, size = solution.state.trajectory, solution.step.factor.size
+    trajectory, factor = solution.state.trajectory, solution.step.factor
     index, t_s = trajectory.grid.knot_times()
     thin = slice(None, None, max(1, len(index) // 2000))
     index, t_s = index[thin], t_s[thin]
-    sigma = np.full((len(index), size), np.nan)
+    sigma = np.full((len(index), factor.size), np.nan)
     if marginals is not None:
-        sigma = np.sqrt(np.einsum("bii->bi", marginals[0]).reshape(-1, size)[index])
+        sigma = np.sqrt(factor.variances(marginals)[index])
     found: dict[str, BiasTrack] = {}
     for imu, walks in enumerate(solution.noise.walks):
         for k, name in enumerate(_TRIADS):

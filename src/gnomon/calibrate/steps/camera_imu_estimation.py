@@ -9,7 +9,7 @@ from ...assess.added_findings import comparison_left_out
 from ...errors import OptionError, SolveError
 from ...estimate.camera_imu.batch import Measurements, RigState
 from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances
-from ...estimate.camera_imu.knots import knots_per_s
+from ...estimate.camera_imu.knots import knots_per_s, with_tied_biases
 from ...estimate.camera_imu.layout import Status, border_layout
 from ...estimate.camera_imu.parameters import ImuParameters, RigParameters
 from ...estimate.camera_imu.solution import GATE, Solution, minimise_cost
@@ -84,6 +84,9 @@ def estimate_rig(
     start = parameters
     for _ in range(_RESTARTS):
         state = first_state(found, parameters, rig.streams[0], knots, order=options.spline_order, others=biases)
+        if options.noise != "coloured" and not options.marginals:  # these ask for biases at every knot
+            rates_hz = [imu.rates_hz for imu in prepared.imus]
+            state = replace(state, trajectory=with_tied_biases(state.trajectory, noise, rates_hz))
         if solution is None:
             _check_origin(options, estimation_choices(state.parameters, options).status)
             start = parameters = state.parameters

@@ -132,6 +132,7 @@ def linearize_batch(
         sides=1 + (probes + (BIAS + 2 * PROBES) * imus if probing else 0),
         workspace=workspace,
         wide=board,
+        tied=grid.bias_offset if grid.tied else None,
     )
     if probing:
         weights = mean_weights(trajectory)

@@ -6,9 +6,14 @@ spectrum of the IMU's readings above their floor of white noise. More knots cost
 rate on they would follow its noise.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ...recording import Floats
+from .batch import NoiseLevels
+from .trajectory import Trajectory
 
 KNOTS_PER_PERIOD = 4.5
 DEFAULT_PER_S = 50.0
@@ -17,6 +22,8 @@ LARGEST_SHARE = 0.5
 
 _PREFERRED_SHARE = 1 / 3
 _WINDOW_S = 2.56
+_STRAYS = 0.1
+"""Sigmas of the mean between two bends of a bias, by which it may stray from the straight line."""
 _EXCESS = 0.03
 """Share of the noise that motion above the limit may add."""
 
@@ -34,6 +41,27 @@ def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -
     rate = rate_hz or min(rates)  # the slower triad must not be followed into its noise
     wanted = max(KNOTS_PER_PERIOD * highest, min(DEFAULT_PER_S, _PREFERRED_SHARE * rate))
     return float(np.clip(5 * np.ceil(wanted / 5 - 1e-9), 5.0, LARGEST_SHARE * rate))
+
+
+def with_tied_biases(trajectory: Trajectory, noise: NoiseLevels, rates_hz: Sequence[tuple[float, float]]) -> Trajectory:
+    """Return the trajectory, its biases bending less often where their walks are far below the readings' noise.
+
+    Between bends T apart a random walk strays by half of its sigma sqrt(T) from the straight line, while readings tell
+    the mean over T to their density / sqrt(T).
+
+    Parameters
+    ----------
+    rates_hz : of gyroscope and accelerometer of each IMU
+    """
+    grid = trajectory.grid
+    apart_s = grid.spacing_s * (grid.order - 1)
+    strays = [
+        0.5 * walk * apart_s / (sigma / rate**0.5)
+        for levels, walks, rates in zip(noise.imus, noise.walks, rates_hz, strict=True)
+        for sigma, walk, rate in zip((levels.gyroscope, levels.accelerometer), walks, rates, strict=True)
+    ]
+    tied = len(grid.segments) == 1 and grid.order > 2 and max(strays) < _STRAYS
+    return replace(trajectory, grid=replace(grid, tied=tied))
 
 
 def motion_limit_hz(t_s: Floats, values: Floats, rate_hz: float) -> float:

@@ -50,11 +50,13 @@ class KnotGrid:
     segments : in the order of time
     spacing_s : time between knots [s]
     order : of the pose splines
+    tied : whether biases bend at every (order - 1)-th knot only, which is enough where they hardly wander in between
     """
 
     segments: tuple[Segment, ...]
     spacing_s: float
     order: int
+    tied: bool = False
 
     @property
     def controls(self) -> int:

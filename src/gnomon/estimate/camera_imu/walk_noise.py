@@ -44,7 +44,7 @@ def walk_sums(trajectory: Trajectory, walks: tuple[tuple[float, float], ...]) ->
         biases = trajectory.controls[:, POSE:]
         steps = (biases[a + distance] - biases[a]) ** 2 / time_s
         squares += steps.reshape(-1, 2 * len(walks), TRIAD).sum(axis=(0, 2)) / variance
-        count += TRIAD * len(a)
+        count += TRIAD * len(a) // (trajectory.grid.order - 1 if trajectory.grid.tied else 1)
     return tuple(WalkSums(chi2=float(chi2), count=count) for chi2 in squares)
 
 
