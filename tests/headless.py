@@ -85,6 +85,16 @@ class Browser:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")  # a call that gives nothing has none
 
+    def on_a_sheet(self):
+        """Return how far the figures of page one go down a sheet of A4 as it is printed, 1 at its end; 0 without any."""
+        self.call("Emulation.setDeviceMetricsOverride", width=688, height=1032, deviceScaleFactor=1, mobile=False)
+        self.call("Emulation.setEmulatedMedia", media="print")  # 96 px an inch, within the margins of page.css
+        ends = self.evaluate(
+            "[...document.querySelectorAll('.front > figure')].map((f) => f.getBoundingClientRect().bottom + scrollY)"
+        )
+        self.call("Emulation.setEmulatedMedia", media="")
+        return max(ends, default=0) / 1032
+
     def problems(self):
         """Return what the page complained about: exceptions, errors and warnings of the log, requests to anywhere."""
         bad = [e for e in self.events if e["method"] in ("Runtime.exceptionThrown", "Log.entryAdded")]

@@ -128,3 +128,8 @@ def test_values_stand_under_the_pointer_and_at_the_edges_of_a_zoomed_figure(brow
     assert any(told["low"] < float(tick) < told["high"] for tick in told["ticks"])
     assert told["after"] == 0
     assert browser.problems() == []
+
+
+def test_page_one_prints_on_one_sheet_with_its_figures(browser, report):
+    browser.open(report, width=1000, height=900)
+    assert 0.5 < browser.on_a_sheet() < 1

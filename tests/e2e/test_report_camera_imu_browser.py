@@ -180,6 +180,7 @@ def test_the_printed_page_is_whole_and_not_too_wide(browser, report):
     )
     browser.call("Emulation.setEmulatedMedia", media="")
     assert paper == ["rgb(255, 255, 255)", "none"]
+    assert 0.5 < browser.on_a_sheet() < 1
 
 
 CONTRAST = """(() => {

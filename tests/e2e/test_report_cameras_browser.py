@@ -87,3 +87,9 @@ def test_prints_on_paper_in_light_colours(browser, reports):
     printed = browser.call("Page.printToPDF", printBackground=True)["data"]
     browser.call("Emulation.setEmulatedMedia", media="")
     assert len(printed) > 100_000
+
+
+@pytest.mark.parametrize("which", list(FIGURES))
+def test_page_one_prints_on_one_sheet_with_its_figures(browser, reports, which):
+    browser.open(reports / f"{which}.html", width=1000, height=900)
+    assert 0.4 < browser.on_a_sheet() < 1

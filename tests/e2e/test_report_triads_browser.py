@@ -52,3 +52,4 @@ def test_page_fits_and_no_texts_overlap(browser, tmp_path, kind):
         assert seen["text"] >= 9
         assert not any("var" in stroke for stroke in seen["strokes"])
         assert browser.evaluate(OVERLAPS) == []
+    assert 0.4 < browser.on_a_sheet() < 1

@@ -49,12 +49,19 @@ class Library:
 
     def __init__(self, place: str, *, create: bool = False, read_only: bool = False) -> None:
         self._engine = _connected(place, create=create, read_only=read_only)
+        try:
+            self._bring_up_to_date(without_password(place), read_only=read_only)
+        except BaseException:
+            self.close()
+            raise
+
+    def _bring_up_to_date(self, place: str, *, read_only: bool) -> None:
         with self._engine.connect() as connection:
-            outdated = needs_migration(connection, without_password(place))
+            outdated = needs_migration(connection, place)
         if outdated and read_only:
             raise FormatError(
-                f"{without_password(place)}: this library is of an older gnomon, and is opened for reading alone. "
-                f"Bring it up to date: gnomon library list --library {without_password(place)}"
+                f"{place}: this library is of an older gnomon, and is opened for reading alone. Bring it up to date: "
+                f"gnomon library list --library {place}"
             )
         if outdated:
             with self._writing() as connection:

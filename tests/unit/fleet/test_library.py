@@ -88,7 +88,8 @@ def test_an_older_library_is_brought_up_to_date_and_a_newer_one_refused(place, m
         newer.setattr(schema, "MIGRATIONS", (*schema.MIGRATIONS, added))
         with Library(place) as library:
             assert [entry.serial for entry in library.entries()] == ["SN1"]
-    columns = [row[1] for row in sqlite3.connect(place).execute("PRAGMA table_info(calibrations)")]
+    with closing(sqlite3.connect(place)) as raw:
+        columns = [row[1] for row in raw.execute("PRAGMA table_info(calibrations)")]
     assert "line" in columns
     with pytest.raises(FormatError, match="version 3, and this gnomon knows 2"):
         Library(place)
@@ -174,7 +175,8 @@ def test_what_was_reported_done_survives_a_kill(place):
     process.stdout.close()
     process.wait()
     done = len([line for line in told if line.endswith("\n")])
-    assert sqlite3.connect(place).execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    with closing(sqlite3.connect(place)) as raw:
+        assert raw.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     with Library(place) as library:
         names = {entry.serial for entry in library.entries(details=True)}
         assert {f"a-{k}" for k in range(done)} <= names

@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from http.client import HTTPConnection
 from urllib.parse import quote
@@ -190,7 +191,7 @@ def test_the_command_serves_until_it_is_interrupted(place):
 
 
 def test_a_library_that_is_read_refuses_every_change(place):
-    with sqlite3.connect(place) as connection:
+    with closing(sqlite3.connect(place)) as connection:
         (before,) = connection.execute("SELECT count(*) FROM calibrations").fetchone()
     with Library(str(place), read_only=True) as library:
         with pytest.raises(OutputError, match="cannot be written"):

@@ -35,7 +35,7 @@ _MOST_LISTED = 6
 _LONGEST_LINE = 200
 """Characters of a line of the preamble that states a rate."""
 
-RATE_HELP = "State it with --rate, for example --rate 100."
+RATE_HELP = "State it with --rate, for example --rate 100: count the samples of a minute."
 
 
 @value_class(eq=True)
