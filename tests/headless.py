@@ -86,7 +86,7 @@ class Browser:
         return answer["result"].get("value")  # a call that gives nothing has none
 
     def on_a_sheet(self):
-        """Return how far the figures of page one go down a sheet of A4 as it is printed, 1 at its end; 0 without any."""
+        """Return how far down a printed sheet of A4 the figures of page one go, 1 at its end; 0 without any."""
         self.call("Emulation.setDeviceMetricsOverride", width=688, height=1032, deviceScaleFactor=1, mobile=False)
         self.call("Emulation.setEmulatedMedia", media="print")  # 96 px an inch, within the margins of page.css
         ends = self.evaluate(
