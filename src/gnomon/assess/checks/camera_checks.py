@@ -16,6 +16,7 @@ from ..cameras.camera_views import FEWEST_CORNERS, BoardSightings, board_sightin
 from .clock_checks import check_epochs
 from .image_checks import check_images, check_quality
 from .motion_checks import check_moving_imu
+from .rig_lens import check_image_size
 
 FEWEST_FRAMES = 10
 _ENOUGH_FRAMES = 60
@@ -36,10 +37,10 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at a recording of cameras and IMUs and say what is good or bad about it.
 
     Every warning and every problem states its consequence and its cure. Codes of the cameras: cameras-missing,
-    frames-backward, corners-unknown, corners-outside, frames, frames-few, board-mirrored, frames-repeated, corners-few,
-    frame-rate, frame-jitter, frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of
-    their stamps stamps-zero and stamps-unit, and of their images those of `check_images`; of the IMUs those of
-    `check_moving_imu`.
+    frames-backward, corners-unknown, corners-outside, image-size, frames, frames-few, board-mirrored, frames-repeated,
+    corners-few, frame-rate, frame-jitter, frame-gaps, board-unseen, image-coverage, board-small, stream-short,
+    streams-apart, of their stamps stamps-zero and stamps-unit, and of their images those of `check_images`; of the IMUs
+    those of `check_moving_imu`.
 
     Returns
     -------
@@ -85,6 +86,8 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     findings += _repeated(name, frames)
     findings += _useless(name, seen)
     findings += check_handedness(name, frames, seen.frame[seen.usable], target)
+    size = check_image_size(name, frames, seen.frame[seen.usable], target)
+    findings += [] if size is None else [size]
     findings += check_rhythm(name, frames.t_ns)
     findings += _unseen(name, usable)
     findings += _duration(name, usable)

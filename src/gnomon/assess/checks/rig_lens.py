@@ -3,6 +3,8 @@
 The residuals of single frames' poses are explained by what would make such a pattern, all at once and to first order:
 the focal lengths and the principal point, a radial distortion beyond the stated one, the time from row to row of a
 rolling shutter, the gaps between the tags of an AprilGrid. What a pose can do is taken out of both sides first.
+
+Before that a lens that is stated for images of another size is told: scaled to theirs it fits far better.
 """
 
 from dataclasses import replace
@@ -10,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...estimate.camera_imu.start.board_poses import BoardPoses, thin_exposures
+from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses, thin_exposures
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.so3 import skew
 from ...models.camera import Camera
 from ...models.target import Target
-from ...recording import Floats
+from ...recording import CameraFrames, Floats, Integers
 from ...results.intervals import Booleans
 
 _FEWEST_FRAMES, _ENOUGH_FRAMES = 30, 250
@@ -29,6 +31,11 @@ _GAINED = 0.95  # rms with a better lens over rms without
 _SPACING, _BLED = 0.004, 0.03
 _PRIOR = np.array([0.1, 0.1, 30.0, 30.0, 0.3, 0.3, 1e-4, 0.2])
 """What is possible at all, so that what the motion does not tell stays where it is."""
+
+_SIZES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 5, 5 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
+"""Of the images over those for which a lens may be stated."""
+_SIZE_FRAMES, _FEWEST_OTHERS, _OTHERS = 40, 5, 0.1
+_BAD_PX, _FAR_BETTER = 0.7, 0.5
 
 
 _FOCAL, _PRINCIPAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7
@@ -59,6 +66,68 @@ class LensFit:
     tag_spacing_sigma: float
     rms_px: float
     rms_free_px: float
+
+
+def check_image_size(name: str, frames: CameraFrames, usable: Integers, target: Target) -> Finding | None:
+    """Return a problem where corners are of images of another size than the lens, in all or in some (code image-size).
+
+    Parameters
+    ----------
+    name : of the camera
+    frames, usable : what it saw, and which of them can be used
+    target : the board; landmarks were mapped with the stated lens, and tell nothing
+    """
+    if target.kind == "landmarks":
+        return None
+    chosen = np.isin(frames.frame, usable[:: max(len(usable) // _SIZE_FRAMES, 1)])
+    sigma_px = None if frames.sigma_px is None else frames.sigma_px[chosen]
+    few = replace(
+        frames, frame=frames.frame[chosen], point=frames.point[chosen], pixels=frames.pixels[chosen], sigma_px=sigma_px
+    )
+    number, stated_px = _fits_px(few, target, 1.0)
+    bad = stated_px > _BAD_PX
+    if bad.sum() < _FEWEST_OTHERS:
+        return None
+    fits = {size: _fits_px(few, target, size)[1] for size in _SIZES}
+    size = min(fits, key=lambda size: float(np.minimum(fits[size], stated_px).sum()))
+    other = bad & (fits[size] < _FAR_BETTER * stated_px)
+    width, height = frames.camera.resolution
+    if other.mean() > 1 - _OTHERS:
+        return make_finding(
+            "image-size/corners",
+            name=name,
+            stated_px=np.median(stated_px),
+            fit_px=np.median(fits[size]),
+            width=round(size * width),
+            height=round(size * height),
+            stated_width=width,
+            stated_height=height,
+        )
+    if other.sum() < _FEWEST_OTHERS or other.mean() < _OTHERS or (~bad).sum() < _FEWEST_OTHERS:
+        return None
+    if np.median(fits[size][other]) > 2 * np.median(stated_px[~bad]):
+        return None
+    first_s = float(frames.t_ns[number[other][0]] - frames.t_ns[0]) * 1e-9
+    return make_finding(
+        "image-size/some",
+        name=name,
+        share=other.mean(),
+        first_s=first_s,
+        width=round(size * width),
+        height=round(size * height),
+        stated_width=width,
+        stated_height=height,
+    )
+
+
+def _fits_px(frames: CameraFrames, target: Target, size: float) -> tuple[Integers, Floats]:
+    """Return frames (n,), and how well each fits with the lens scaled to images of another size (n,) [px]."""
+    intrinsics = frames.camera.intrinsics.copy()
+    intrinsics[-4:-2] *= size
+    intrinsics[-2:] = (intrinsics[-2:] + 0.5) * size - 0.5  # a pixel's centre is a whole number
+    scaled = replace(frames, camera=replace(frames.camera, intrinsics=intrinsics))
+    poses = board_poses(scaled, target, np.zeros(len(frames.t_ns)))
+    return poses.exposures.frame, poses.scatter_px
 
 
 def check_lens(
