@@ -1,6 +1,6 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
    of an exposure, and what is added to the normal equations; rotations from rates; running sums for Allan variances; and
-   the fit of corners to the pixels around them, and of a board to its corners; rows of pixels of a PNG. Each does what the NumPy code beside its
+   the fit of corners to the pixels around them, and of a board to its corners; rows of a PNG, and of a table. Each does what the NumPy code beside its
    caller does (estimate/camera_imu/terms, estimate/multiposition, estimate/allan, detect), to rounding; equations and
    names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
@@ -28,7 +28,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 4 /* changes whenever the arguments of a function do */
+#define INTERFACE 5 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -960,4 +960,19 @@ EXPORT int64_t gnomon_undo_png_filters(int64_t height, int64_t width, const uint
         }
     }
     return 0;
+}
+
+/* tables (writers/apply.py) */
+
+/* Writes lines of a table, of the JSON texts [1,2] and [[3,4],[5,6]]: 1,3,4 and 2,5,6. Returns how many bytes. */
+EXPORT int64_t gnomon_join_columns(const char *first, const char *others, char *lines) {
+    char *out = lines;
+    for (others++, first++; *others == '['; first++) {
+        while (*first != ',' && *first != ']') *out++ = *first++;
+        *out++ = ',';
+        for (others++; *others != ']'; others++) *out++ = *others;
+        *out++ = '\n';
+        if (*++others == ',') others++;
+    }
+    return out - lines;
 }

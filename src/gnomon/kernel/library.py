@@ -251,3 +251,11 @@ def undo_png_filters(rows: bytes, width: int, height: int) -> NDArray[np.uint8] 
     found = np.empty((height, width), dtype=np.uint8)
     strange = library.gnomon_undo_png_filters(_long(height), _long(width), ctypes.c_char_p(rows), _out(found))
     return None if strange else found
+
+
+def join_columns(first: bytes, others: bytes) -> memoryview:
+    """Return the lines of a table, of the JSON texts of its first column and of the rows of all others."""
+    library = load_kernel()
+    assert library is not None
+    lines = np.empty(len(first) + len(others), dtype=np.uint8)
+    return lines[: library.gnomon_join_columns(ctypes.c_char_p(first), ctypes.c_char_p(others), _out(lines))].data

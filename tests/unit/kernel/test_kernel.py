@@ -1,5 +1,6 @@
 """The compiled kernel gives what NumPy gives; without it, or with another one, NumPy does the work."""
 
+import io
 import shutil
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import orjson
 import pytest
 
 from camera_imu_problem import problem
@@ -16,6 +18,8 @@ from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.products import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.multiposition.rotations import MotionSegments, integrate_rates
+from gnomon.kernel.library import join_columns
+from gnomon.writers.apply import _lines
 
 ROOT = Path(__file__).parents[3]
 compiled = pytest.mark.skipif(kernel.load_kernel() is None, reason="the kernel was not compiled")
@@ -142,6 +146,20 @@ def test_homographies_are_those_of_numpy(noise, monkeypatch):
         monkeypatch.setenv("GNOMON_KERNEL", "0")
         plain = map_points(fit_homography(points, pixels)[None], points)[0]
         np.testing.assert_allclose(fast, plain, atol=1e-12 * np.abs(pixels).max())
+
+
+@compiled
+@pytest.mark.parametrize("columns", [1, 3, 9])
+def test_lines_of_a_table_are_those_of_python(columns):
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=(50, columns)) * 10.0 ** rng.integers(-300, 300, (50, columns))
+    for count in (1, 2, 50):
+        texts = [
+            orjson.dumps(part, option=orjson.OPT_SERIALIZE_NUMPY) for part in (np.arange(50)[:count], values[:count])
+        ]
+        lines = bytes(join_columns(*texts))
+        assert lines == _lines(*texts)
+        np.testing.assert_array_equal(np.loadtxt(io.BytesIO(lines), delimiter=",", ndmin=2)[:, 1:], values[:count])
 
 
 def test_it_can_be_switched_off(monkeypatch):

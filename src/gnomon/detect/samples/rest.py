@@ -94,7 +94,8 @@ class RestWatch:
             self._begin(block)
         self._stamps(block.t_ns)
         values = np.concatenate([self._previous, block.values])
-        self._repeats += int(np.count_nonzero((values[1:] == values[:-1]).all(axis=1)))
+        same = values[1:] == values[:-1]
+        self._repeats += int(np.count_nonzero(same[:, 0] & same[:, 1] & same[:, 2]))
         self._previous = block.values[-1:]
         self._windows(block)
         self._keep(block)

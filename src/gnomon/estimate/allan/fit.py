@@ -26,6 +26,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
+from ...solve.nonnegative import solve_nonnegative
 from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 
 _SIGNIFICANT = 3.0  # sigmas
@@ -270,8 +271,6 @@ class AllanFit:
 
     def _solved(self, variance: Floats, kinds: Booleans, misfit: float, held: Floats | None = None) -> "_Found":
         """Return the estimate with some kinds of noise only, besides those whose theta is held."""
-        from scipy.optimize import nnls
-
         design = self.straight[:, kinds]
         held = np.zeros(len(kinds)) if held is None else held
         theta, before = held.copy(), held.copy()
@@ -279,7 +278,7 @@ class AllanFit:
         root = np.diag(variance * self.dof)
         for _ in range(_ROUNDS):
             weights = np.linalg.inv(root)
-            theta[kinds] = nnls(weights @ design, weights @ (variance - others))[0]
+            theta[kinds] = solve_nonnegative(weights @ design, weights @ (variance - others), theta[kinds])
             if np.allclose(theta, before, rtol=1e-4, atol=0):
                 break
             before = theta.copy()
