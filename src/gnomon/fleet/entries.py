@@ -172,9 +172,12 @@ def line_table(entries: Sequence[LibraryEntry]) -> LineTable:
         rows.setdefault(entry.names, []).append(row)
     for names, own in rows.items():
         at = np.ix_(own, [column[name] for name in names])
-        estimated = np.stack([entries[row].sigmas for row in own])
+        read, estimated = (
+            np.frombuffer(b"".join(getattr(entries[row], name) for row in own)).reshape(len(own), len(names))
+            for name in ("values", "sigmas")
+        )
         known = estimated > 0
-        values[at] = np.where(known, np.stack([entries[row].values for row in own]), np.nan)
+        values[at] = np.where(known, read, np.nan)
         sigmas[at] = np.where(known, estimated, np.nan)
     used: list[int] = np.flatnonzero(np.isfinite(values).any(axis=0)).tolist()
     names = list(units)

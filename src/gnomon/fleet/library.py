@@ -7,9 +7,12 @@ transactions, and a writer waits for another one; so a process may be killed at 
 
 import hashlib
 import json
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from sqlite3 import OperationalError
+import re
+import sqlite3
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from functools import cached_property
+from pathlib import Path
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,10 +22,15 @@ import orjson
 from ..errors import FormatError, OptionError, OutputError, install_line
 from ..recording import Floats
 from .entries import LibraryEntry
-from .schema import CALIBRATIONS, DETAILS, LAYOUTS, RUNS, migrate_schema, needs_migration
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine, Select
+    from sqlalchemy import Connection, Engine
+
+    Ask = Callable[[str, Sequence[object]], Any]
+    """Sends a question of plain SQL, with ? for values, and returns its rows."""
+
+LATEST = 2
+"""Version of the tables, which is the number of steps in `schema.MIGRATIONS`."""
 
 _WAIT_S = 30.0
 """How long a writer waits for another one of the same SQLite file."""
@@ -48,7 +56,12 @@ class Library:
     """
 
     def __init__(self, place: str, *, create: bool = False, read_only: bool = False) -> None:
-        self._engine = _connected(place, create=create, read_only=read_only)
+        self._place, self._read_only = place, read_only
+        self._file = Path(place.removeprefix("sqlite:///")) if _is_file(place) else None
+        if self._file is not None:
+            _check_file(self._file, create=create)
+            if self._file.is_file() and self._version() == LATEST:
+                return  # and SQLAlchemy, which takes longer to import than most questions, is not asked for
         try:
             self._bring_up_to_date(without_password(place), read_only=read_only)
         except BaseException:
@@ -56,6 +69,8 @@ class Library:
             raise
 
     def _bring_up_to_date(self, place: str, *, read_only: bool) -> None:
+        from .schema import migrate_schema, needs_migration
+
         with self._engine.connect() as connection:
             outdated = needs_migration(connection, place)
         if outdated and read_only:
@@ -80,13 +95,12 @@ class Library:
 
     def find(self, key: str) -> str | None:
         """Return the record of a run that is done (`gnomon.study.runs.Journal`)."""
-        from sqlalchemy import select
-
-        with self._engine.connect() as connection:
-            return connection.scalar(select(RUNS.c.record).where(RUNS.c.key == key))
+        return self._asked("SELECT record FROM runs WHERE key = ?", key)
 
     def keep_run(self, key: str, record: str, entry: LibraryEntry | None) -> None:
         """Keep the record of a run and its calibration, both or neither."""
+        from .schema import RUNS
+
         with self._writing() as connection:
             if entry is not None:
                 _insert(connection, entry)
@@ -109,60 +123,83 @@ class Library:
         details : whether covariance and needs are read
         newest : how many of them at most, the last ones
         """
-        from sqlalchemy import select
-
-        joined = CALIBRATIONS.join(DETAILS) if details else CALIBRATIONS
-        columns = [CALIBRATIONS.c[name] for name in _COLUMNS]
-        columns += [DETAILS.c.covariance, DETAILS.c.needs] if details else []
-        order = (CALIBRATIONS.c.measured, CALIBRATIONS.c.id)
-        query = _only(select(*columns).select_from(joined), serial, kind)
+        columns = [f'calibrations."{name}"' for name in _COLUMNS] + (["covariance", "needs"] if details else [])
+        tables = f"calibrations {'JOIN details ON details.calibration = calibrations.id' if details else ''}"
+        which, values = _only(serial, kind)
         if newest is not None:
-            last = _only(select(CALIBRATIONS.c.id), serial, kind).order_by(*(c.desc() for c in order)).limit(newest)
-            query = query.where(CALIBRATIONS.c.id.in_(last))
-        query = query.order_by(*order)
-        with self._engine.connect() as connection:
+            latest = f"SELECT id FROM calibrations{which} ORDER BY measured DESC, id DESC LIMIT ?"
+            which, values = f" WHERE id IN ({latest})", (*values, newest)
+        with self._reading() as ask:
             layouts = {
-                row.id: (tuple(json.loads(row.names)), tuple(json.loads(row.units)))
-                for row in connection.execute(select(LAYOUTS))
+                number: (tuple(json.loads(names)), tuple(json.loads(units)))
+                for number, names, units in ask("SELECT id, names, units FROM layouts", ())
             }
-            for row in connection.execution_options(yield_per=_PART).execute(query):
+            query = f"SELECT {', '.join(columns)} FROM {tables}{which} ORDER BY measured, id"
+            for row in ask(query, values):
                 yield _entry(row, layouts)
 
     def serials(
         self, *, containing: str = "", kind: str | None = None, skip: int = 0, most: int
     ) -> list[tuple[str, int]]:
         """Return serial numbers in their order, and how many calibrations each has; see `entries`."""
-        from sqlalchemy import func, select
-
-        serial = CALIBRATIONS.c.serial
-        query = _only(select(serial, func.count().label("calibrations")), None, kind).group_by(serial).order_by(serial)
-        query = query.where(serial.contains(containing, autoescape=True)) if containing else query
-        with self._engine.connect() as connection:
-            return [(row[0], row.calibrations) for row in connection.execute(query.offset(skip).limit(most))]
+        which, values = _only(None, kind)
+        if containing:
+            which += f" {'AND' if which else 'WHERE'} serial LIKE ? ESCAPE '/'"
+            values = (*values, "%{}%".format(re.sub("[/%_]", r"/\g<0>", containing)))
+        query = f"SELECT serial, count(*) FROM calibrations{which} GROUP BY serial ORDER BY serial LIMIT ? OFFSET ?"
+        with self._reading() as ask:
+            return [*map(tuple, ask(query, (*values, most, skip)))]
 
     def state(self) -> int:
         """Return a number that grows whenever a calibration is added."""
-        from sqlalchemy import func, select
-
-        with self._engine.connect() as connection:
-            return connection.scalar(select(func.max(CALIBRATIONS.c.id))) or 0
+        return self._asked("SELECT coalesce(max(id), 0) FROM calibrations")
 
     def count(self) -> int:
         """Return how many calibrations there are."""
-        from sqlalchemy import func, select
-
-        with self._engine.connect() as connection:
-            return connection.scalar(select(func.count()).select_from(CALIBRATIONS)) or 0
+        return self._asked("SELECT count(*) FROM calibrations")
 
     def close(self) -> None:
         """Close the connections."""
-        self._engine.dispose()
+        if "_engine" in self.__dict__:
+            self._engine.dispose()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @cached_property
+    def _engine(self) -> "Engine":
+        place = self._place if self._file is None else f"sqlite:///{self._file}"
+        return _connected(place, read_only=self._read_only)
+
+    def _version(self) -> int | None:
+        """Return the version that a file of SQLite states; None where it states none."""
+        try:
+            return self._asked("SELECT version FROM gnomon_library")
+        except sqlite3.Error:
+            return None
+
+    def _asked(self, query: str, *values: object) -> Any:
+        """Return the one value that answers a question; None where there is none."""
+        with self._reading() as ask:
+            return next(iter([*ask(query, values)]), (None,))[0]
+
+    @contextmanager
+    def _reading(self) -> "Generator[Ask]":
+        """Give what asks the database, in one transaction: SQLite directly, others through SQLAlchemy."""
+        if self._file is not None:
+            with closing(sqlite3.connect(self._file)) as raw:
+                _prepare_sqlite(raw, None)
+                raw.execute("PRAGMA query_only = ON")
+                raw.execute("BEGIN")
+                yield raw.execute
+        else:
+            with self._engine.connect() as connection:
+                streamed = connection.execution_options(yield_per=_PART)
+                mark = "?" if connection.dialect.paramstyle == "qmark" else "%s"
+                yield lambda query, values: streamed.exec_driver_sql(query.replace("?", mark), tuple(values))
 
     @contextmanager
     def _writing(self) -> Generator["Connection"]:
@@ -175,16 +212,22 @@ class Library:
             raise OutputError(f"{self._engine.url}: the library cannot be written ({error.orig}).") from error
 
 
-def _only(query: "Select[*tuple[Any, ...]]", serial: str | Sequence[str] | None, kind: str | None) -> Any:
-    """Return a query of the calibrations of these serial numbers and this kind; None for all."""
-    if serial is not None:
-        query = query.where(CALIBRATIONS.c.serial.in_([serial] if isinstance(serial, str) else serial))
-    return query if kind is None else query.where(CALIBRATIONS.c.kind == kind)
+def _only(serial: str | Sequence[str] | None, kind: str | None) -> tuple[str, tuple[object, ...]]:
+    """Return the condition on calibrations of these serial numbers and this kind, and its values; None for all."""
+    serials = [serial] if isinstance(serial, str) else serial
+    given = [("kind", [kind] if kind is not None else None), ("serial", serials)]
+    wanted = {name: values for name, values in given if values is not None}
+    conditions = [f"{name} IN ({', '.join('?' * len(values)) or 'NULL'})" for name, values in wanted.items()]
+    return "".join(f" {'AND' if k else 'WHERE'} {condition}" for k, condition in enumerate(conditions)), tuple(
+        value for values in wanted.values() for value in values
+    )
 
 
 def _insert(connection: "Connection", entry: LibraryEntry) -> bool:
     """Insert a calibration where it is not there yet, within the transaction of a writer."""
     from sqlalchemy import select
+
+    from .schema import CALIBRATIONS, DETAILS, LAYOUTS
 
     key = entry.key
     if connection.scalar(select(CALIBRATIONS.c.id).where(CALIBRATIONS.c.key == key)) is not None:
@@ -260,22 +303,27 @@ def _unpacked(packed: bytes) -> tuple[tuple[int, ...], Floats]:
     return covered, matrix + np.tril(matrix, -1).T
 
 
-def _connected(place: str, *, create: bool, read_only: bool) -> "Engine":
+def _is_file(place: str) -> bool:
+    return "://" not in place or (place.startswith("sqlite:///") and "?" not in place)
+
+
+def _check_file(path: Path, *, create: bool) -> None:
+    """Refuse a path where no library is, and none may be made, or where another file is."""
+    if not path.is_file():
+        if create:
+            return
+        raise OptionError(f"{path}: there is no such library. gnomon batch or gnomon library import makes one.")
+    with path.open("rb") as file:
+        if file.read(16) not in (b"", b"SQLite format 3\0"):
+            raise FormatError(f"{path}: this file is no library of gnomon. Name another.")
+
+
+def _connected(place: str, *, read_only: bool) -> "Engine":
     try:
         from sqlalchemy import create_engine, event, make_url
         from sqlalchemy.exc import ArgumentError, SQLAlchemyError
     except ImportError as error:
         raise OptionError(f"a library needs SQLAlchemy. Run: {install_line('gnomon[fleet]')}") from error
-    from pathlib import Path
-
-    if "://" not in place:
-        if not create and not Path(place).is_file():
-            raise OptionError(f"{place}: there is no such library. gnomon batch or gnomon library import makes one.")
-        if Path(place).is_file():
-            with Path(place).open("rb") as file:
-                if file.read(16) not in (b"", b"SQLite format 3\0"):
-                    raise FormatError(f"{place}: this file is no library of gnomon. Name another.")
-        place = f"sqlite:///{place}"
     try:
         url = make_url(place)
         url = url.set(drivername="postgresql+psycopg") if url.drivername in ("postgresql", "postgres") else url
@@ -315,7 +363,7 @@ def _keep_write_ahead_log(connection: Any) -> None:
     while True:
         try:
             connection.execute("PRAGMA journal_mode = WAL")
-        except OperationalError:
+        except sqlite3.OperationalError:
             if monotonic() > deadline:
                 raise
             sleep(0.01)

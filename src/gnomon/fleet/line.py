@@ -83,7 +83,7 @@ def assess_line(table: LineTable) -> LineAssessment:
     found = list[Finding]()
     rows, doubles = _without_doubles(table.entries)
     found += doubles
-    table = table.rows(rows)
+    table = table if len(rows) == len(table.entries) else table.rows(rows)
     serials = [entry.serial for entry in table.entries]
     first_of = dict(zip(reversed(serials), range(len(serials) - 1, -1, -1), strict=True))
     first = np.array(sorted(first_of.values()), dtype=np.int64)
@@ -217,15 +217,15 @@ def _station_offsets(table: LineTable, first: Integers, pairs: Integers) -> list
     limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
     labels = np.array(stations)
-    of_first = [stations[row] for row in first.tolist()]
+    of_first = np.array([names.index(stations[row]) for row in first.tolist()])
     for _ in names[1:]:
         offsets: dict[str, dict[int, GroupOffset]] = {}
         for k in range(len(table.names)):
             y, variances = _weighted(table, first, k)
-            for offset in group_offsets(y, variances, of_first):
+            for offset in group_offsets(y, variances, of_first, names):
                 if offset.count >= _FEWEST:
                     offsets.setdefault(offset.group, {})[k] = offset
-            for offset in _paired_offsets(table, pairs, labels, k):
+            for offset in _paired_offsets(table, pairs, labels, k, limit):
                 of = offsets.setdefault(offset.group, {})
                 of[k] = max(of.get(k, offset), offset, key=lambda one: abs(one.z))
         every = [(k, one) for of in offsets.values() for k, one in of.items()]
@@ -240,10 +240,13 @@ def _station_offsets(table: LineTable, first: Integers, pairs: Integers) -> list
     return found
 
 
-def _paired_offsets(table: LineTable, pairs: Integers, stations: np.ndarray[Any, Any], k: int) -> Iterator[GroupOffset]:
-    """Yield how far each station is off by devices that it and another one measured; sigmas stand for Student's t."""
-    from scipy.special import ndtri, stdtr
+def _paired_offsets(
+    table: LineTable, pairs: Integers, stations: np.ndarray[Any, Any], k: int, limit: float
+) -> Iterator[GroupOffset]:
+    """Yield how far a station is off by devices that it and another one measured, where that may be beyond the limit.
 
+    Sigmas stand for Student's t, which is farther from zero than the z that is as improbable.
+    """
     if len(pairs) < _FEWEST:
         return
     before, after = pairs.T
@@ -256,7 +259,9 @@ def _paired_offsets(table: LineTable, pairs: Integers, stations: np.ndarray[Any,
         if len(rows) < _FEWEST:
             continue
         known = robust_population(sign[rows] * steps[rows], sigmas[rows], _WIDE)
-        if known.count >= _FEWEST:
+        if known.count >= _FEWEST and abs(known.mean) > limit * known.mean_sigma:
+            from scipy.special import ndtri, stdtr  # takes longer to load than all else here
+
             z = -float(ndtri(stdtr(known.count - 1, -abs(known.mean) / known.mean_sigma)))
             yield GroupOffset(group=station, offset=known.mean, sigma=abs(known.mean) / max(z, 1e-9), count=known.count)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..recording import Floats
+from ..recording import Floats, Integers
 from .entries import LibraryEntry
 
 Booleans = np.ndarray[Any, np.dtype[np.bool_]]
@@ -266,20 +266,25 @@ class GroupOffset:
         return self.offset / self.sigma
 
 
-def group_offsets(values: Floats, variances: Floats, groups: Sequence[str]) -> list[GroupOffset]:
-    """Return how far each group's weighted mean is from that of all others, variances (n,) known; nan is left out."""
+def group_offsets(values: Floats, variances: Floats, number: Integers, groups: Sequence[str]) -> list[GroupOffset]:
+    """Return how far each group's weighted mean is from that of all others; nan is left out.
+
+    Variances (n,) are known, number (n,) is that of the group.
+    """
     known = np.isfinite(values) & np.isfinite(variances)
-    number = {group: k for k, group in enumerate(dict.fromkeys(groups))}
-    y, w, labels = values[known], 1 / variances[known], np.array([number[group] for group in groups])[known]
-    found: list[GroupOffset] = []
-    for group, k in number.items():
-        own = labels == k
-        if not own.any() or own.all():
-            continue
-        mean, other = w[own] @ y[own] / w[own].sum(), w[~own] @ y[~own] / w[~own].sum()
-        sigma = sqrt(1 / w[own].sum() + 1 / w[~own].sum())
-        found.append(GroupOffset(group=group, offset=float(mean - other), sigma=sigma, count=int(own.sum())))
-    return found
+    w, of = 1 / variances[known], number[known]
+    weight, pull = (np.bincount(of, weights=one, minlength=len(groups)) for one in (w, w * values[known]))
+    count, others = np.bincount(of, minlength=len(groups)), weight.sum() - weight
+    return [
+        GroupOffset(
+            group=group,
+            offset=float(pull[k] / weight[k] - (pull.sum() - pull[k]) / others[k]),
+            sigma=sqrt(1 / weight[k] + 1 / others[k]),
+            count=int(count[k]),
+        )
+        for k, group in enumerate(groups)
+        if 0 < count[k] < len(w)
+    ]
 
 
 # ---- changes in time ----

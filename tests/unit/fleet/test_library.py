@@ -18,6 +18,7 @@ import pytest
 
 from fleet_line import NAMES, device
 from gnomon.errors import FormatError, OptionError
+from gnomon.fleet import library as library_module
 from gnomon.fleet import schema
 from gnomon.fleet.export import export_table
 from gnomon.fleet.library import Library
@@ -86,13 +87,28 @@ def test_an_older_library_is_brought_up_to_date_and_a_newer_one_refused(place, m
 
     with monkeypatch.context() as newer:
         newer.setattr(schema, "MIGRATIONS", (*schema.MIGRATIONS, added))
+        newer.setattr(library_module, "LATEST", 3)
         with Library(place) as library:
             assert [entry.serial for entry in library.entries()] == ["SN1"]
     with closing(sqlite3.connect(place)) as raw:
         columns = [row[1] for row in raw.execute("PRAGMA table_info(calibrations)")]
     assert "line" in columns
+    assert len(schema.MIGRATIONS) == library_module.LATEST
     with pytest.raises(FormatError, match="version 3, and this gnomon knows 2"):
         Library(place)
+
+
+def test_a_file_is_read_without_sqlalchemy(place):
+    with Library(place, create=True) as library:
+        library.add(device("SN1"))
+    code = f"""
+import sys
+from gnomon.fleet.library import Library
+with Library({place!r}) as library:
+    assert library.count() == len(list(library.entries(serial="SN1"))) == 1
+assert "sqlalchemy" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_first_version_gets_its_index_of_dates_and_readers_leave_it_alone(place):

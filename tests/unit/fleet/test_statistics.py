@@ -133,7 +133,7 @@ def test_steps_drifts_and_groups_have_honest_z():
         changes = {change.kind: change for change in time_changes(values, variances, np.arange(60.0))}
         z["drift"].append(changes["drift"].z)
         z["step"].append(abs(changes["step"].z) > normal_limit(0.01 / 60))
-        z["group"] += [group_offsets(values, variances, ["A", "B", "C"] * 20)[0].z]
+        z["group"] += [group_offsets(values, variances, np.tile(np.arange(3), 20), ["A", "B", "C"])[0].z]
     assert 0.9 < np.std(z["drift"]) < 1.1
     assert 0.9 < np.std(z["group"]) < 1.1
     assert np.mean(z["step"]) < 0.03
