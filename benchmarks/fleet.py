@@ -203,19 +203,19 @@ async def ask_for_pages(address, pages, clients, each, pause_s):
     return sorted(wait for waits in await asyncio.gather(*map(client, range(clients))) for wait in waits)
 
 
-def faults(_scratch, seeds):
+def faults(_scratch, seeds, first):
     from test_line import FAULTS, healthy_line, named
 
     missed, beside = Counter(), 0
     for seed in range(seeds):
         for number, (fault, (code, words, change)) in enumerate(FAULTS.items()):
-            line = healthy_line(200, 10_000 + 100 * seed + number, again=40, stations=("A", "B", "C"))
+            line = healthy_line(200, first + 100 * seed + number, again=40, stations=("A", "B", "C"))
             line = [replace(entry, inputs=()) for entry in line] if fault == "same numbers" else line
             found = named(change(line))
             missed[fault] += not any(name == code and words in message for name, message in found)
             beside += any(name != code for name, _ in found)
     print(f"{seeds * len(FAULTS)} lines with a fault: {sum(missed.values())} not named, {beside} with another beside")
-    alarms = sum(len(named(healthy_line(1000, 77_000 + seed, again=100))) for seed in range(4 * seeds))
+    alarms = sum(len(named(healthy_line(1000, first + 67_000 + seed, again=100))) for seed in range(4 * seeds))
     print(f"{4 * seeds} healthy lines of 1000 devices: {alarms} false alarms")
 
 
@@ -225,8 +225,10 @@ if __name__ == "__main__":
     parser.add_argument("count", type=int)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--library", type=Path)
+    parser.add_argument("--first", type=int, default=10_000, help="seed of the lines with faults")
     given = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     with tempfile.TemporaryDirectory() as folder:
-        more = {"devices": (given.jobs,), "serve": (given.library,), "library": (given.library,)}.get(given.what, ())
-        globals()[given.what](Path(folder), given.count, *more)
+        more = {"devices": (given.jobs,), "serve": (given.library,), "library": (given.library,)}
+        more["faults"] = (given.first,)
+        globals()[given.what](Path(folder), given.count, *more.get(given.what, ()))

@@ -9,6 +9,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
+from gnomon.estimate.trust.changes import estimates_alone
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.options.requirements import Use
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
@@ -112,6 +113,32 @@ def test_the_prior_that_helps_does_not_pull_the_size_of_a_change_in_sign():
     whole = gnomon.compare(calibration, wrong, names=("true", "wrong")).difference("true", "wrong", block.path)
     assert block.path == "imu0.accelerometer.scale"
     assert np.all(np.abs(block.values - whole.values) < 4 * block.sigma)
+
+
+def test_what_is_estimated_alone_is_what_a_calibration_publishes():
+    _, recording = sensor(4)
+    with estimates_alone() as postponed:
+        alone = gnomon.calibrate_imu(recording).calibration
+    whole = gnomon.calibrate_imu(recording).calibration
+    np.testing.assert_array_equal(alone.uncertainty.matrix, whole.uncertainty.matrix)
+    np.testing.assert_array_equal(alone.imus["imu0"].gyroscope.sensitivity, whole.imus["imu0"].gyroscope.sensitivity)
+    assert postponed
+    assert not any(search() for search in postponed)
+
+
+def test_a_recording_in_which_a_number_changed_is_no_proof():
+    """Half of it with another scale would tell of half the change: it is judged as a whole, and tells nothing."""
+    drawn = {"g_sensitivity": 3e-4, "sensor_seed": 4}
+    recording = simulate(Scenario(**drawn), 9004)[0]
+    samples = recording.imus["imu0"]
+    values = samples.gyroscope.values.copy()
+    values[len(values) // 2 :] *= 1.03
+    bad = replace(recording, imus={"imu0": replace(samples, gyroscope=replace(samples.gyroscope, values=values))})
+    with estimates_alone() as postponed:
+        gnomon.calibrate_imu(bad)
+    assert [change.block for search in postponed for change in search()] == ["imu0.gyroscope.sensitivity"]
+    assert gnomon.calibrate_imu(bad).calibration.verdict == "fail"
+    assert gnomon.verify(sensor(4)[0], bad).state == "cannot tell"
 
 
 def test_what_moved_within_the_need_is_named_and_holds():

@@ -22,6 +22,7 @@ from ..estimate.cameras.holdout import held_out_residuals
 from ..estimate.cameras.rig import RigViews
 from ..estimate.cameras.solution import RigSolution, solve_rig
 from ..estimate.cameras.views import gathered_views
+from ..estimate.trust.changes import estimates_are_judged
 from ..findings import Finding
 from ..models.target import Target
 from ..options import CameraOptions
@@ -95,12 +96,16 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     check_baseline(options, len(recording.cameras))
     every = gathered_views(recording.cameras, target)
     tell("choosing the lens model")
-    lenses = chosen_lenses(
-        {name: select_views(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
-        models,
-        among=options.among,
-        robust=options.robust,
-        most_iterations=options.max_iterations,
+    lenses = (
+        chosen_lenses(
+            {name: select_views(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
+            models,
+            among=options.among,
+            robust=options.robust,
+            most_iterations=options.max_iterations,
+        )
+        if estimates_are_judged()
+        else [LensChoice(camera=name, lens=frames.camera) for name, frames in recording.cameras.items()]
     )
     tell("choosing views")
     start = first_rig_of_views(every, {lens.camera: lens.lens for lens in lenses}, options.views)
@@ -164,12 +169,13 @@ def _tested(board: BoardChoice) -> tuple[Unseen, list[Finding]]:
     """Return how well views that were left out are predicted, and what of such comparisons could not be made."""
     solution = board.solution
     uncompared = [comparison_left_out("another shape of the board", board.failed)] if board.failed else []
-    try:
-        return cross_validate_views(solution, time_clusters(solution), board.estimated), uncompared
-    except (GnomonError, np.linalg.LinAlgError) as error:
-        uncompared.append(comparison_left_out("views that were left out", str(error)))
-        used = {name: rms_of(seen) for name, seen in solution.corners.items()}
-        return Unseen(rms_px=dict.fromkeys(used, float("nan")), rms_used_px=used), uncompared
+    if estimates_are_judged():
+        try:
+            return cross_validate_views(solution, time_clusters(solution), board.estimated), uncompared
+        except (GnomonError, np.linalg.LinAlgError) as error:
+            uncompared.append(comparison_left_out("views that were left out", str(error)))
+    used = {name: rms_of(seen) for name, seen in solution.corners.items()}
+    return Unseen(rms_px=dict.fromkeys(used, float("nan")), rms_used_px=used), uncompared
 
 
 def _synchronism(every: RigViews, solution: RigSolution) -> list[Finding]:

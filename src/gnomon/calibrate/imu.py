@@ -30,7 +30,7 @@ from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, 
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, to_physical_units
 from ..estimate.multiposition.sums import free_jacobian, segment_sums, with_runs
 from ..estimate.multiposition.unseen_changes import unseen_changes
-from ..estimate.trust.changes import triad_causes
+from ..estimate.trust.changes import estimates_are_judged, triad_causes
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
@@ -375,7 +375,7 @@ def _trusted(
 
 def _agreement(fit: ImuFitSummary, known: Prior, gravity: Gravity, options: ImuOptions) -> list[Finding]:
     """Say what was known beforehand, and whether this recording on its own agrees."""
-    if not known:
+    if not known or not estimates_are_judged():
         return []
     try:
         without = fit_multiposition(fit.problem.data, g_sensitivity=True, changes=fit.fit.changes)

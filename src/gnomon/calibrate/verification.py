@@ -4,6 +4,7 @@ estimate the same numbers from the fresh recording -> hold both against each oth
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from ..assess.comparison.candidates import ComparisonCandidate
 from ..assess.comparison.verification import Verification, verify_candidate
-from ..errors import OptionError
+from ..errors import GnomonError, OptionError
+from ..estimate.trust.changes import estimates_alone
 from ..formats.foreign import ForeignCalibration
 from ..formats.foreign_files import load_any
 from ..models.target import Target
@@ -69,11 +71,21 @@ def verify(
     known = calibration if isinstance(calibration, Calibration | ForeignCalibration) else _loaded(calibration)
     known = _at_its_temperature(known, recording)
     frozen = ComparisonCandidate.of("the calibration", known)
-    wide = None
-    if isinstance(recording, Recording):
-        fresh, wide = _estimated(known, frozen, recording, target, progress)
-    else:
+    if not isinstance(recording, Recording):
         fresh = recording.calibration if isinstance(recording, Result) else recording
+        return _held_against(frozen, fresh, None, use)
+    with suppress(GnomonError, np.linalg.LinAlgError):
+        with estimates_alone() as postponed:
+            quick = _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)
+        if quick.state == "holds" or (quick.state == "moved" and not any(search() for search in postponed)):
+            return quick
+    # what makes no calibration, or changed on the way, is judged as a whole before it is held against another one
+    return _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)
+
+
+def _held_against(
+    frozen: ComparisonCandidate, fresh: Calibration, wide: Calibration | None, use: Use | None
+) -> Verification:
     if shared := shared_sources(frozen.inputs, fresh.provenance.inputs):
         raise OptionError(
             f"the calibration was made from {shared[0].name}, the very recording that is to verify it: that says "

@@ -68,7 +68,7 @@ class LensChoice:
 
     camera: str
     lens: Camera
-    trials: tuple[LensTrial, ...]
+    trials: tuple[LensTrial, ...] = ()
     better: str = ""
     gain: float = 0.0
     gain_sigma: float = 0.0

@@ -24,8 +24,11 @@ to average out no further.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -55,6 +58,29 @@ _POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions coun
 _INFLATED = 100.0  # variances that a change may have inflated, at most
 _SAME = 1e-8  # of the largest: rounding
 _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
+
+
+_POSTPONED: ContextVar[list[Callable[[], tuple[ParameterChange, ...]]] | None] = ContextVar("postponed", default=None)
+
+
+@contextmanager
+def estimates_alone() -> Generator[list[Callable[[], tuple[ParameterChange, ...]]]]:
+    """Leave out within this context what judges an estimate and changes none of its numbers.
+
+    That is whether other lenses or a prior agree, and views that are left out to be predicted. Searches for parameters
+    that changed during the recording are postponed: they are in the list that is given.
+    """
+    postponed = list[Callable[[], tuple[ParameterChange, ...]]]()
+    before = _POSTPONED.set(postponed)
+    try:
+        yield postponed
+    finally:
+        _POSTPONED.reset(before)
+
+
+def estimates_are_judged() -> bool:
+    """Tell whether more is wanted than an estimate, see `estimates_alone`."""
+    return _POSTPONED.get() is None
 
 
 @value_class
@@ -141,6 +167,10 @@ def parameter_changes(
     """
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
+        return ()
+    if (postponed := _POSTPONED.get()) is not None:
+        again = partial(parameter_changes, sums, jacobian, names, biases=biases, judged=judged, order=order)
+        postponed.append(partial(again, causes=causes))
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     sums, jacobian = _followed(sums, jacobian)

@@ -75,7 +75,8 @@ def yaml_quoted(text: str) -> str:
 
 def in_quotes(text: str) -> str:
     """Return a text between double quotes, with escapes for what would end it or the line."""
-    return '"' + "".join(_escaped(c) for c in text) + '"'
+    plain = text.isprintable() and '"' not in text and "\\" not in text
+    return f'"{text if plain else "".join(map(_escaped, text))}"'
 
 
 def _escaped(c: str) -> str:
