@@ -14,8 +14,8 @@ import numpy as np
 
 import gnomon
 from gnomon.recording import Floats, ImuSamples, Recording
-from gnomon.results.imu_diagnostics import ImuDiagnostics
 from gnomon.results.result import Result
+from gnomon.results.sensor_diagnostics import ImuDiagnostics
 
 KINDS = ("gyroscope step", "accelerometer step", "gyroscope warm-up", "accelerometer warm-up", "appended", "tremor")
 NEW = frozenset({"bias-step", "warm-up", "sensor-changed", "rates-left-out", "intervals-left-out"})

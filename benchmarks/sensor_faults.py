@@ -30,8 +30,8 @@ from gnomon.simulate import (
     simulate_poses,
     simulate_turntable,
 )
-from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.scenarios.recorded import NoiseScenario
+from gnomon.simulate.sensor import noise_blocks
 
 Floats = NDArray[np.float64]
 _BEYOND = 4.0  # sigmas

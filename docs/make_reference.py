@@ -28,7 +28,7 @@ from gnomon.options import (
     NoiseOptions,
     TurntableOptions,
 )
-from gnomon.results.plotting import Plotted
+from gnomon.results.result import Plotted
 from gnomon.simulate import (
     CameraImuPlan,
     CameraImuScenario,

@@ -11,14 +11,14 @@ from gnomon.estimate.camera_imu.blocks import parameter_blocks
 from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.start.first_guess import per_corner
-from gnomon.estimate.camera_imu.terms.board import BoardPoints
+from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
 from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
 from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, exposure_times
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
-from gnomon.models.origin import Origin, single_point_weights
+from gnomon.models.frames import Origin, single_point_weights
 
 SHAPES = {"pinhole": [], "omni": [0.9], "eucm": [0.6, 1.1], "ds": [-0.2, 0.55]}
 COEFFS = {

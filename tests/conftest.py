@@ -26,7 +26,8 @@ from gnomon.results.calibration import (
     calibration_parameters,
     covariance_names,
 )
-from gnomon.results.imu_diagnostics import (
+from gnomon.results.result import Result
+from gnomon.results.sensor_diagnostics import (
     AllanCurve,
     DetectorTrace,
     ImuDiagnostics,
@@ -35,7 +36,6 @@ from gnomon.results.imu_diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from gnomon.results.result import Result
 from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure, pytest_runtest_setup
 from trust_example import example_trust
 

@@ -18,7 +18,7 @@ from gnomon.results.calibration import (
     covariance_names,
 )
 from gnomon.results.result import Result
-from gnomon.results.triad_diagnostics import (
+from gnomon.results.sensor_diagnostics import (
     DipTable,
     GyroscopeAtRest,
     IterationHistory,

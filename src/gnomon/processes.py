@@ -3,13 +3,36 @@
 Recordings come from anywhere, and people work in their folders. Python looks for modules in the working directory
 first, with `-m`, with `-c`, and so wherever `multiprocessing` starts a process: a file pickle.py beside the images
 would be run.
+
+Work on a stream of items, a few of which are worked on at the same time.
 """
 
 import os
 import sys
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_WORKERS, _AHEAD = 2, 8
+
+
+def results_ahead(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yield work(item) in the order of the items; some of the next ones are begun meanwhile, in threads."""
+    waiting: deque[Future[Result]] = deque()
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) >= _AHEAD:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
 
 _SAFE = "PYTHONSAFEPATH"
 _HOME = str(Path(__file__).resolve().parents[1])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.cli import main
-from gnomon.recording.images import Grey
+from gnomon.recording.frames import Grey
 from gnomon.writers.video import save_video
 
 USAGE, BAD_INPUT = 2, 3

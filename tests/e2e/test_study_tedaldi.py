@@ -9,8 +9,7 @@ import os
 import pytest
 
 from gnomon.study.runs import Workers
-from gnomon.study.tedaldi import study_tedaldi
-from gnomon.study.tedaldi_claims import GROUPS, group_errors, tedaldi_claims
+from gnomon.study.tedaldi import GROUPS, group_errors, study_tedaldi, tedaldi_claims
 from gnomon.study.tedaldi_trial import METHODS
 
 

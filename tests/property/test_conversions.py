@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 import gnomon
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import is_own, load_foreign
-from gnomon.models.diagonal_forms import DiagonalTriad
-from gnomon.models.estimator_forms import BasaltTriad, OpenVinsAccelerometer, OpenVinsGyroscope
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -25,11 +23,15 @@ from gnomon.models.forms import (
 )
 from gnomon.models.frames import frame_rotation
 from gnomon.models.project_forms import (
+    BasaltTriad,
+    DiagonalTriad,
     ImucalAccelerometer,
     ImucalGyroscope,
     ImuTkTriad,
     KalibrAccelerometer,
     KalibrGyroscope,
+    OpenVinsAccelerometer,
+    OpenVinsGyroscope,
 )
 from gnomon.results.calibration import (
     AccelerometerCalibration,

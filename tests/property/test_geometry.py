@@ -12,7 +12,7 @@ from gnomon.geometry.quaternion import (
     rotation_from_quaternion,
     running_products,
 )
-from gnomon.geometry.so3 import nearest_rotation, skew, tangent_basis
+from gnomon.geometry.rotation_vector import nearest_rotation, skew, tangent_basis
 
 component = st.floats(-10, 10, allow_subnormal=False)
 quaternions = arrays(float, 4, elements=component).filter(lambda q: np.linalg.norm(q) > 1e-3)

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gnomon.models.estimator_forms import BasaltTriad, OpenVinsAccelerometer, OpenVinsGyroscope
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -16,11 +15,14 @@ from gnomon.models.forms import (
 )
 from gnomon.models.frames import frame_rotation
 from gnomon.models.project_forms import (
+    BasaltTriad,
     ImucalAccelerometer,
     ImucalGyroscope,
     ImuTkTriad,
     KalibrAccelerometer,
     KalibrGyroscope,
+    OpenVinsAccelerometer,
+    OpenVinsGyroscope,
 )
 
 ACCELEROMETERS = [

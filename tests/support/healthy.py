@@ -5,9 +5,8 @@ from math import radians
 import numpy as np
 
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario, MotionName
-from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenarios.cameras import USUAL_LENSES, BoardName, CamerasScenario
 from gnomon.simulate.scenarios.recorded import Scenario
-from gnomon.simulate.seen_board import BoardName
 
 _MOTIONS: tuple[MotionName, ...] = ("gentle", "normal", "tremor", "shaky", "rolling")
 

@@ -12,7 +12,7 @@ from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, ImuSamples, TriadSamples
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
-from gnomon.simulate.seen_board import INTRINSICS
+from gnomon.simulate.scenarios.cameras import INTRINSICS
 
 from .fault_recordings import seconds, warming
 from .wild import WildCase, in_body_frame, log_uniform, reread, signed_permutation

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..findings import Finding, make_finding
 from ..frozen import value_class
-from ..geometry.so3 import invert_matrix, skew
+from ..geometry.rotation_vector import invert_matrix, skew
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..recording import Floats

@@ -14,7 +14,7 @@ import numpy as np
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..results.calibration import Calibration
-from ..results.parameter_units import element_units
+from ..results.parameters import element_units
 from .priors import gravity_part
 
 COVERAGE_FACTOR = 2.0

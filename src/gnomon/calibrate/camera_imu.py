@@ -10,7 +10,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.added_findings import added_findings, delays_found, out_of_order, steps_left_out
 from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
 from ..assess.cameras.camera_imu_verdict import assess_camera_imu
 from ..assess.cameras.camera_views import without_copies
@@ -18,10 +17,16 @@ from ..assess.changes import with_changes
 from ..assess.checks.early_findings import judged_again, unmodelled_effects
 from ..assess.checks.temperature_checks import check_thermometers
 from ..assess.needs import with_precision
-from ..assess.prior_findings import prior_used
 from ..assess.priors import Priors, refuse_own_data
 from ..assess.verdict import model_incomplete, parts_disagree, uncertainty_summary, underestimated_blocks
-from ..assess.weak_findings import camera_imu_weak
+from ..assess.weak_findings import (
+    added_findings,
+    camera_imu_weak,
+    delays_found,
+    out_of_order,
+    prior_used,
+    steps_left_out,
+)
 from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.layout import Status
@@ -33,7 +38,7 @@ from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
 from ..findings import Finding
-from ..models.origin import EVEN_WEIGHTS
+from ..models.frames import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..progress import Progress

@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.added_findings import comparison_left_out
 from ..assess.cameras.camera_synchronism import JointResiduals, check_synchronism
 from ..assess.cameras.camera_views import without_copies
 from ..assess.cameras.cameras_tables import CamerasFitSummary, LensOpinion, describe_cameras
@@ -17,6 +16,7 @@ from ..assess.cameras.cameras_verdict import assess_cameras
 from ..assess.changes import with_changes
 from ..assess.checks.camera_checks import check_views
 from ..assess.verdict import uncertainty_summary
+from ..assess.weak_findings import comparison_left_out
 from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.holdout import held_out_residuals
 from ..estimate.cameras.rig import RigViews

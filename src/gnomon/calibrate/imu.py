@@ -9,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from .._version import __version__
-from ..assess.added_findings import comparison_left_out
 from ..assess.changes import with_changes
 from ..assess.imu.axes_changed import axes_changed_findings
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
-from ..assess.prior_findings import prior_findings
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
-from ..assess.weak_findings import imu_weak
+from ..assess.weak_findings import comparison_left_out, imu_weak, prior_findings
 from ..detect.samples.threshold import (
     RestDetection,
     ThresholdTrial,
@@ -27,8 +25,14 @@ from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, to_physical_units
-from ..estimate.multiposition.sums import free_jacobian, segment_sums, with_runs
+from ..estimate.multiposition.scaling import (
+    ImuEstimate,
+    free_jacobian,
+    segment_sums,
+    sensor_scalars,
+    to_physical_units,
+    with_runs,
+)
 from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.changes import estimates_are_judged, triad_causes
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
@@ -40,8 +44,7 @@ from ..progress import Progress
 from ..recording import Floats, Recording
 from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
-from ..results.intervals import Booleans, interval_means
-from ..results.result import Result
+from ..results.result import Booleans, Result, interval_means
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .steps.imu_model import choose_model, refuse_evidence, with_fixed
 from .steps.preparation import (

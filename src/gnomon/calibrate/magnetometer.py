@@ -13,15 +13,14 @@ from ..assess.checks.doctor import check_field_samples
 from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
+from ..detect.samples.range_change import saturated_samples
 from ..detect.samples.repair import repair_samples
-from ..detect.samples.saturation import saturated_samples
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
 from ..estimate.triads.blocks import TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
 from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise
-from ..estimate.triads.field_trust import field_trust
-from ..estimate.triads.gravity_along import GravityFit, fit_gravity, force_at
+from ..estimate.triads.known_attitudes import GravityFit, fit_gravity, force_at
 from ..estimate.triads.magnetometer import (
     MagnetometerFit,
     fit_magnetometer,
@@ -29,6 +28,7 @@ from ..estimate.triads.magnetometer import (
     with_soft_iron_unknown,
 )
 from ..estimate.triads.triad_start import Ellipsoid
+from ..estimate.triads.triad_trust import field_trust
 from ..findings import Finding, make_finding
 from ..frozen import value_class
 from ..models.frames import frame_rotation, rotation_jacobian
@@ -44,8 +44,7 @@ from ..results.calibration import (
     Provenance,
     covariance_names,
 )
-from ..results.intervals import Booleans
-from ..results.result import Result
+from ..results.result import Booleans, Result
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 _FIELDS_UT = (10.0, 200.0)

@@ -27,18 +27,17 @@ from ..detect.samples.rest import RestTable, RestWatch
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
-from ..estimate.allan.high_pass import HighPass, longest_unfiltered_s
 from ..estimate.allan.model import KINDS
+from ..estimate.allan.patterns import HighPass, longest_unfiltered_s
 from ..findings import Finding, make_finding
 from ..options import NoiseOptions
 from ..progress import Progress
 from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source
 from ..readers.recordings import read
-from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
-from ..readers.samples.sample_stream import SampleStream
-from ..readers.samples.stream import open_stream, read_thermometer, stream_of
+from ..readers.samples.several_files import recording_files
+from ..readers.samples.stream import SampleStream, open_stream, read_thermometer, stream_of
 from ..recording import Floats, ImuSamples, Recording, Source, TemperatureSamples, TriadSamples, smallest_steps
 from ..results.calibration import Provenance
 from ..results.sensor_noise import (

@@ -38,7 +38,7 @@ from ..results.calibration import (
 from ..simulate.camera_imu_frames import START_NS
 from ..simulate.planned import PlannedRecording, PlannedRig, planned_recording
 from ..simulate.plans import CameraImuPlan
-from ..simulate.truth import changed_options
+from ..simulate.sensor import changed_options
 from .steps.preparation import local_gravity
 
 _FEWEST_FRAMES = 10

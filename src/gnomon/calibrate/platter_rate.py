@@ -12,7 +12,7 @@ from ..progress import Progress
 from ..readers.images.camera_places import video_place
 from ..readers.images.image_recording import holds_images, open_images
 from ..readers.recordings import ReadLog
-from ..recording.images import ImageStream
+from ..recording.frames import ImageStream
 from ..units import Units
 
 
@@ -48,8 +48,8 @@ def rate_from_video(
 
 def _stream(place: Path) -> ImageStream:
     """Return the images; of a video without what lies beside it, but for a table of its timestamps."""
+    from ..readers.images.image_file import is_video
     from ..readers.images.video import video_stream  # PyAV takes its time
-    from ..readers.images.video_kind import is_video
 
     if not place.exists():
         raise RecordingError(f"{place}: there is no such file or folder. Check the path.")

@@ -11,12 +11,11 @@ from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_poses
 from ..assess.imu.poses_verdict import assess_poses
-from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior
+from ..assess.weak_findings import prior_findings, prior_used, pulled_findings
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
-from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
-from ..estimate.triads.pose_step import PoseStep, count_rival_step
+from ..estimate.triads.pose_drift import PoseDrift, PoseStep, count_rival_step, fit_with_drift
 from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
 from ..estimate.triads.triad import TriadFit, fit_triad
 from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior

@@ -31,8 +31,7 @@ from ..estimate.multiposition.problem import MultiPositionProblem
 from ..estimate.multiposition.rotations import MotionSegments
 from ..estimate.multiposition.scaling import to_physical_units
 from ..frozen import value_class
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..geometry.so3 import skew, tangent_basis
+from ..geometry.rotation_vector import rotation_from_rotvec, skew, tangent_basis
 from ..recording import Floats
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -45,7 +44,7 @@ from ..results.calibration import (
     Provenance,
     covariance_names,
 )
-from ..results.intervals import Booleans
+from ..results.result import Booleans
 from ..solve.arrow import solve_arrow
 
 _TURN_S, _TURN_STEPS = 1.5, 24

@@ -17,11 +17,10 @@ from ..options import ImuOptions
 from ..progress import Progress, as_step
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Provenance
-from ..results.imu_diagnostics import ImuDiagnostics
 from ..results.parameters import calibration_parameters
 from ..results.result import JoinedDiagnostics, JoinedRecording, Result
+from ..results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
 from ..results.sensors import ImuCalibration
-from ..results.triad_diagnostics import TriadDiagnostics
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 
 CalibrateOne = Callable[[Recording, ImuOptions, Progress], Result]

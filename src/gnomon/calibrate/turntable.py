@@ -13,8 +13,8 @@ from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.imu.turntable_tables import TurntableFitSummary, describe_turntable
 from ..assess.imu.turntable_verdict import assess_turntable
-from ..assess.prior_findings import prior_findings, prior_used
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior, refuse_own_data
+from ..assess.weak_findings import prior_findings, prior_used
 from ..errors import DetectionError, InitialisationError, OptionError, SolveError
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_platter_accelerometer, fit_turntable
 from ..estimate.turntable.parts import TurntableParts
@@ -34,7 +34,7 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..results.result import Result
-from ..results.triad_diagnostics import PeriodCurve
+from ..results.sensor_diagnostics import PeriodCurve
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .steps.preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
 from .steps.turntable_preparation import prepare_turntable

@@ -58,7 +58,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         ),
         "simulate cameras": ("camera.SimulateCameras", "cameras in front of a board"),
         "simulate camera-imu": ("camera_imu.SimulateCameraImu", "cameras and an IMU in front of a board"),
-        "simulate room": ("room.SimulateRoom", "a camera and an IMU in a room, without a board"),
+        "simulate room": ("camera_imu.SimulateRoom", "a camera and an IMU in a room, without a board"),
         "study": ("study.Study", "repeat a published experiment many times"),
         "completion": ("completion.Completion", "complete commands and options with the tab key"),
     },

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError, RecordingError
-from ..models.lens_programs import PROGRAMS
+from ..models.lens_names import PROGRAMS
 
 if TYPE_CHECKING:
     from ..models.noise import ImuNoise

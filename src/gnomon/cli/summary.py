@@ -12,7 +12,7 @@ from ..findings import Finding
 from ..formats.shared.losses import prior_held_names
 from ..recording import Floats
 from ..results.calibration import Calibration, calibration_parameters, element_names
-from ..results.parameter_units import parameter_unit, unit_ratio
+from ..results.parameters import parameter_unit, unit_ratio
 from ..results.trust import UncertaintySummary
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 
@@ -178,7 +178,7 @@ def engineering_text(value: float, unit: str) -> str:
 
 def magnetometer_lines(result: "Result") -> Iterator[str]:
     """Yield lines on hard and soft iron, dip, and how well the strength of the field is predicted."""
-    from ..results.triad_diagnostics import TriadDiagnostics
+    from ..results.sensor_diagnostics import TriadDiagnostics
 
     calibration, diagnostics = result.calibration, result.diagnostics
     assert isinstance(diagnostics, TriadDiagnostics)

@@ -14,9 +14,9 @@ import numpy as np
 from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
 from ..models.camera import Camera
-from ..models.estimator_forms import BasaltTriad
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.project_forms import BasaltTriad
 from ..recording import Floats
 from ..results.calibration import (
     AccelerometerCalibration,

@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from ..geometry.so3 import invert_matrix
+from ..geometry.rotation_vector import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
 from ..results.sensors import TemperatureDependence

@@ -6,11 +6,11 @@ from os import PathLike
 from pathlib import Path
 
 from ..errors import OptionError
-from ..models.lens_programs import PROGRAMS
+from ..models.lens_names import PROGRAMS
 from ..output import write_together
 from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
-from .shared.ignored_values import ignored_values
+from .shared.entries import ignored_values
 from .shared.losses import Context, Export, Loss, StatedImu, loss_sentences, origin_remarks, remark_losses
 from .shared.si_units import with_full_scale
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..frozen import field_names
-from ..geometry.so3 import invert_matrix
-from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
+from ..geometry.rotation_vector import invert_matrix
 from ..models.noise import ImuNoise
+from ..models.project_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..recording import Floats
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -24,7 +24,7 @@ from ..results.calibration import (
 )
 from .kalibr.camchain import camera_chain
 from .shared.foreign_yaml import file_name, read_matrix, read_rotation
-from .shared.lenses import without_k3
+from .shared.lens_refit import without_k3
 from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, unknown_lens
 from .shared.sensor_losses import Holds, not_representable
 from .shared.si_units import si_conversions, si_imu

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.so3 import invert_matrix
+from ..geometry.rotation_vector import invert_matrix
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats

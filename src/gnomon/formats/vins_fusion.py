@@ -30,7 +30,7 @@ from .shared.foreign_yaml import (
     text_of,
     whole_number,
 )
-from .shared.lenses import cameras_without_k3
+from .shared.lens_refit import cameras_without_k3
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.si_units import si_conversions

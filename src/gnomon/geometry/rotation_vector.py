@@ -8,6 +8,10 @@ With R = Exp(phi) = exp([phi]x) and theta = |phi|,
 
 Where phi changes with time, Jr(phi) phi' is the angular rate in the turning body's frame. The chart has its
 singularity at theta = 2 pi.
+
+The rotation group: rotation vectors, skew matrices, tangent planes of the unit sphere.
+
+What the points of a turning body feel.
 """
 
 from math import factorial
@@ -16,9 +20,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .quaternion import quaternion_from_rotation
-from .so3 import skew
 
 Floats = NDArray[np.float64]
+
+
+def skew(v: Floats) -> Floats:
+    """Return [v]x, (..., 3, 3), with skew(v) @ w = v x w, of vectors (..., 3)."""
+    matrix = np.zeros((*v.shape[:-1], 3, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = v[..., 2], -v[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -v[..., 1], v[..., 0]
+    return matrix
+
+
+def tangent_basis(u: Floats) -> Floats:
+    """Return two orthonormal vectors perpendicular to each unit vector, as columns: (..., 3) -> (..., 3, 2)."""
+    helper = np.zeros_like(u)
+    np.put_along_axis(helper, np.abs(u).argmin(axis=-1)[..., None], 1.0, axis=-1)
+    first = np.asarray(np.cross(u, helper), dtype=np.float64)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.asarray(np.cross(u, first), dtype=np.float64)], axis=-1)
+
+
+def invert_matrix(matrix: Floats) -> Floats:
+    """Return the inverse of matrices (..., 3, 3)."""
+    return np.linalg.inv(matrix).astype(np.float64, copy=False)
+
+
+def nearest_rotation(matrix: Floats) -> Floats:
+    """Return the rotations (..., 3, 3), det +1, nearest to matrices in the Frobenius norm (Kabsch)."""
+    left, _, right = np.linalg.svd(matrix)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return np.asarray(left @ right, dtype=np.float64)
+
 
 _SERIES_BELOW = 0.25
 """theta^2 below which the series are used: there they are exact, and above it the closed forms lose two digits only."""
@@ -190,3 +224,25 @@ def _squared(phi: Floats) -> Floats:
 def _skew_squared(phi: Floats) -> Floats:
     """Return [phi]x^2 = phi phi' - |phi|^2 I."""
     return phi[..., :, None] * phi[..., None, :] - _squared(phi)[..., None, None] * np.eye(3)
+
+
+def acceleration_by_place(omega: Floats, alpha: Floats) -> Floats:
+    """Return A = [alpha]x + [omega]x^2, (n, 3, 3): the point at r is accelerated by A r more than the body's origin.
+
+    Parameters
+    ----------
+    omega, alpha : (n, 3) angular rate [rad/s] and acceleration [rad/s^2], body frame
+    """
+    turned = omega[:, :, None] * omega[:, None, :]
+    return skew(alpha) + turned - np.trace(turned, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+
+
+def along_axes(A: Floats, places: Floats) -> Floats:
+    """Return e_k' A r_k, (n, 3): what the k-th of three sensors feels more than the body's origin, along axis k.
+
+    Parameters
+    ----------
+    A : (n, 3, 3), see `acceleration_by_place`
+    places : (3, 3) r_k, one row each [m]
+    """
+    return np.asarray(np.einsum("nkj,kj->nk", A, places), dtype=np.float64)

@@ -626,7 +626,7 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
     }
 }
 
-/* running sums for Allan variances (estimate/allan/products.py) */
+/* running sums for Allan variances (estimate/allan/deviation.py) */
 
 /* The running sums (3, n + 1) of three axes (n, 3), without the straight line from their first to their last value. */
 CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, double *x) {

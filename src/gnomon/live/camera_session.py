@@ -16,12 +16,11 @@ from ..detect.boards.board_guess import guess_board
 from ..detect.boards.worker import BoardFinder, BoardProcess, ProcessLostError
 from ..errors import GnomonError
 from ..models.target import Target
-from ..recording.images import Grey
+from ..recording.frames import Grey
 from .board_coach import BoardCoach, BoardState
 from .faults import Fault
-from .image_recorder import ImageRecorder
 from .image_sources import ImageArrival, ImageSource
-from .recorder import Recorder
+from .recorder import ImageRecorder, Recorder
 from .trials import Trial
 
 _SILENT_S = 3.0

@@ -18,7 +18,7 @@ from ..frozen import value_class
 from ..options.requirements import GENERAL, Use
 from ..readers.recordings import samples_in_units
 from ..readers.samples.recognise import WITH_RESTS
-from ..readers.samples.sample_stream import TRIADS
+from ..readers.samples.stream import TRIADS
 from ..readers.samples.table import Triad
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from ..results.trust import Need

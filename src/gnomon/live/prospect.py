@@ -11,8 +11,8 @@ from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream
+from ..detect.samples.range_change import saturated_samples
 from ..detect.samples.repair import repair_samples
-from ..detect.samples.saturation import saturated_samples
 from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
 from ..frozen import value_class
@@ -22,7 +22,7 @@ from ..options.requirements import Use
 from ..readers.samples.recognise import turning_of_gravity
 from ..recording import Floats, ImuSamples
 from ..results.calibration import UNSTATED_GRAVITY, Calibration, Provenance
-from ..results.intervals import Booleans, StaticIntervals, interval_means
+from ..results.result import Booleans, StaticIntervals, interval_means
 from ..results.trust import Need
 from ..units import GYROSCOPE_UNITS_RAD_S
 

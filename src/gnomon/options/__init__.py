@@ -1,9 +1,8 @@
 """What a person may choose; the command line is made from these classes."""
 
 from .cameras import BOARDS, COVARIANCES, BoardModel, CameraImuOptions, CameraOptions, CovarianceKind, stated_prior
-from .imu import ImuOptions, NoiseOptions, Preset
+from .imu import ImuOptions, MagnetometerOptions, NoiseOptions, Preset, StatedRate, TurntableOptions, default_rate_sigma
 from .ranges import check_ranges, option_range
-from .triads import MagnetometerOptions, StatedRate, TurntableOptions, default_rate_sigma
 
 __all__ = [
     "BOARDS",

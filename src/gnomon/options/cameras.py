@@ -144,7 +144,7 @@ class CameraImuOptions:
         check_ranges(self)
         check_gravity(self.gravity)
         if self.origin != "optimal":
-            from ..models.origin import Origin  # NumPy, which --help does without
+            from ..models.frames import Origin  # NumPy, which --help does without
 
             Origin.stated(self.origin)
         for text in self.prior:

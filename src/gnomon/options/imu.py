@@ -1,5 +1,6 @@
-"""Options of calibrations of an IMU alone: multi-position recordings, and noise."""
+"""Options of calibrations of one sensor: multi-position recordings, noise, turntable and magnetometer."""
 
+from math import isnan, nan, pi
 from typing import Literal
 
 from ..errors import OptionError
@@ -100,3 +101,121 @@ class NoiseOptions:
             raise OptionError(f"start_s {self.start_s:g} must be zero or more.")
         if self.stop_s is not None and not self.stop_s > self.start_s:
             raise OptionError(f"stop_s {self.stop_s:g} must be later than start_s {self.start_s:g}.")
+
+
+_LABELS_RPM = (16.0, 50 / 3, 33.0, 100 / 3, 33.5, 45.0, 78.0, 78.26)
+_LABEL_SIGMA, _OTHER_SIGMA = 1e-2, 1e-3
+"""Relative: record players may be 1 % off and more (DIN 45500: -1 to +1.5 %); what is on no label was measured."""
+
+
+def default_rate_sigma(rate_rad_s: float) -> float:
+    """Return how well a rate is known of which only the number is stated, relative.
+
+    Examples
+    --------
+    >>> default_rate_sigma(33.33 * pi / 30), default_rate_sigma(33.41 * pi / 30)
+    (0.01, 0.001)
+    """
+    rpm = rate_rad_s * 30 / pi
+    return _LABEL_SIGMA if any(abs(rpm - label) < 1.5e-3 * label for label in _LABELS_RPM) else _OTHER_SIGMA
+
+
+@value_class(eq=True)
+class StatedRate:
+    """The rate of a turntable, as somebody stated it or as a video showed it.
+
+    Attributes
+    ----------
+    name : as stated, such as "16rpm", or the name of the video
+    rate_rad_s : [rad/s], 0 for a turntable at rest
+    sigma_rad_s : its standard deviation [rad/s]; 0 where it is taken as exact. Where it is not stated, that of a record
+        player's label (1 %) for the speeds that are on such labels, else 0.1 %
+    turns : turns that a video showed; nan where there was none
+    """
+
+    name: str
+    rate_rad_s: float
+    sigma_rad_s: float = nan
+    turns: float = nan
+
+    def __post_init__(self) -> None:
+        if isnan(self.sigma_rad_s):
+            object.__setattr__(self, "sigma_rad_s", default_rate_sigma(self.rate_rad_s) * self.rate_rad_s)
+
+
+@value_class(eq=True)
+class TurntableOptions:
+    """How to calibrate a gyroscope on a turntable (Angrisano)."""
+
+    model: Literal["auto", "basic", "g-sensitivity"] = "auto"
+    """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""
+
+    rate_sigma: float | None = None
+    """Relative standard deviation of rates that were stated as numbers: by default 0.01 of speeds that are on the label
+    of a record player (16, 33 1/3, 45, 78 rpm), 0.001 of others."""
+
+    sense: Literal["auto", "clockwise", "counterclockwise"] = "auto"
+    """Which way the platter turns, seen from above; both triads are taken for right-handed where it is not stated."""
+
+    gravity: float | None = None
+    """Local gravity in m/s^2, where you know it."""
+
+    latitude: float | None = None
+    """Latitude in degrees, from which the earth's rate and, unless stated, normal gravity (WGS 84) are computed."""
+
+    altitude: float = 0.0
+    """Height above the ellipsoid in metres, used with --latitude."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.gyroscope.g_sensitivity."""
+
+    free: tuple[str, ...] = ()
+    """Parameters to estimate that are fixed otherwise, such as rate.scale."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, a noise.yaml, or NAME=SIGMA, such as imu0.gyroscope.bias=0.01."""
+
+    accelerometer_range: float | None = None
+    """Full scale of the accelerometer, in the recording's unit; samples at or beyond it are masked."""
+
+    gyroscope_range: float | None = None
+    """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.rate_sigma is not None and not self.rate_sigma >= 0:
+            raise OptionError(f"rate_sigma {self.rate_sigma:g} must not be below zero.")
+        check_gravity(self.gravity)
+        check_positive(self, ("accelerometer_range", "gyroscope_range"))
+
+
+@value_class(eq=True)
+class MagnetometerOptions:
+    """How to calibrate a magnetometer."""
+
+    field: float | None = None
+    """Strength of the local magnetic field in uT, where you know it; otherwise it is the unit of the result."""
+
+    dip: float | None = None
+    """Angle of the local field below the horizontal in degrees, below zero where it points up; checks handedness."""
+
+    latitude: float | None = None
+    """Latitude in degrees: which way the field dips there checks the handedness of the axes."""
+
+    model: Literal["auto", "hard-iron", "full"] = "auto"
+    """Every entry of the sensitivity (full, auto), or offset and one scale (hard-iron), soft iron left out."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.magnetometer.bias."""
+
+    free: tuple[str, ...] = ()
+    """Parameters of which a prior calibration is not asked, such as imu0.accelerometer."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.magnetometer.bias=5."""
+
+    magnetometer_range: float | None = None
+    """Full scale of the magnetometer, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

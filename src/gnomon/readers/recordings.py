@@ -15,17 +15,18 @@ from ..recording.dataframes import dataframe_text, is_dataframe
 from ..units import Units
 from .devices.device_log import is_device_log
 from .files import NPZ_MAGIC, TextFile, file_source, first_bytes, read_text_file
-from .samples.column_help import HELP
-from .samples.folder import (
+from .samples.pose_table import LARGEST_BYTES, read_pose_table
+from .samples.recognise import HELP, WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
+from .samples.several_files import (
+    FEWEST_FILES,
     accelerometer_and_gyroscope,
+    join_pose_tables,
     known_layout,
+    pose_files,
     recording_files,
     sample_files,
     several_recordings,
 )
-from .samples.pose_files import FEWEST_FILES, join_pose_tables, pose_files
-from .samples.pose_table import LARGEST_BYTES, read_pose_table
-from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
 from .samples.table import SampleTable, Triad, read_table
 
 

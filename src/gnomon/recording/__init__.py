@@ -2,9 +2,8 @@
 
 from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbers, smallest_steps, usual_step
 from .frames import CameraFrames, FrameQuality, KnownRig
-from .poses import Poses
 from .recording import Recording
-from .samples import ImuSamples, TemperatureSamples, TriadSamples
+from .samples import ImuSamples, Poses, TemperatureSamples, TriadSamples
 from .sources import Piece, Source, recorded_hashes, shared_sources
 
 __all__ = [

@@ -12,11 +12,9 @@ from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
 from .arrays import frozen_array, ns_from_s
-from .fingerprint import sample_fingerprint
 from .frames import CameraFrames, KnownRig
-from .poses import Poses
-from .samples import ImuSamples, TriadSamples
-from .sources import Piece, Source, samples_fingerprint
+from .samples import ImuSamples, Poses, TriadSamples
+from .sources import Piece, Source, sample_fingerprint, samples_fingerprint
 
 
 @value_class

@@ -16,7 +16,7 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..results.parameter_units import element_units
+from ..results.parameters import element_units
 from ..results.sensors import TemperatureDependence
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit, with_sigma

@@ -8,7 +8,7 @@ import numpy as np
 from ..output import write_whole
 from ..recording import Floats
 from ..results.datasheet import DatasheetComparison, StatedNoise
-from ..results.imu_diagnostics import SignalEnvelope
+from ..results.sensor_diagnostics import SignalEnvelope
 from ..results.sensor_noise import (
     COEFFICIENTS,
     DATASHEET_UNITS,

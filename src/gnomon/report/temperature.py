@@ -6,7 +6,7 @@ import numpy as np
 
 from .._version import __version__
 from ..output import write_whole
-from ..results.intervals import Booleans
+from ..results.result import Booleans
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .drawing.figures import AXES, Sheet, set_y_limits
 from .numbers import number_text

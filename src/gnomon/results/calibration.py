@@ -12,14 +12,20 @@ import numpy as np
 from ..errors import FormatError, OptionError
 from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
+from ..models.frames import Origin
 from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
-from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
 from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
 from .at_temperature import imus_at_temperature
-from .parameter_units import element_units
-from .parameters import calibration_parameters, covariance_names, element_names, moved_into_frame, moved_to_origin
+from .parameters import (
+    calibration_parameters,
+    covariance_names,
+    element_names,
+    element_units,
+    moved_into_frame,
+    moved_to_origin,
+)
 from .sensors import (
     AccelerometerCalibration,
     CameraCalibration,

@@ -23,10 +23,10 @@ from ..recording import Floats
 from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
 from .calibration import Provenance, Verdict
-from .plotting import Plotted
+from .result import Plotted
 
 if TYPE_CHECKING:
-    from .imu_diagnostics import SignalEnvelope
+    from .sensor_diagnostics import SignalEnvelope
 
 COEFFICIENTS = ("white_noise", "bias_instability", "random_walk", "quantisation", "rate_ramp")
 """Kinds of noise, in the order of files and tables."""

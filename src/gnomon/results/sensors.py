@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import FormatError, OptionError
 from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
-from ..models.origin import Origin
+from ..models.frames import Origin
 from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array
 from ..recording.thermometer import TemperatureCourse, temperature_course
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Calibration
-from .plotting import Plotted
+from .result import Plotted
 
 _CURVE = 60
 

@@ -11,10 +11,9 @@ if TYPE_CHECKING:
     from .magnetometer import simulate_magnetometer
     from .plans import CameraImuPlan, ImuPlan
     from .poses import simulate_poses
-    from .scenarios.camera_imu import CameraImuScenario
+    from .scenarios.camera_imu import CameraImuScenario, RoomScenario
     from .scenarios.cameras import CamerasScenario
     from .scenarios.recorded import FieldScenario, PoseScenario, Scenario, TurntableScenario
-    from .scenarios.room import RoomScenario
     from .turntable import simulate_turntable
 
 _HOMES = {
@@ -24,7 +23,7 @@ _HOMES = {
     "FieldScenario": "scenarios.recorded",
     "ImuPlan": "plans",
     "PoseScenario": "scenarios.recorded",
-    "RoomScenario": "scenarios.room",
+    "RoomScenario": "scenarios.camera_imu",
     "Scenario": "scenarios.recorded",
     "TurntableScenario": "scenarios.recorded",
 }

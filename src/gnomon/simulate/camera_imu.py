@@ -7,7 +7,7 @@ import numpy as np
 
 from ..frozen import FrozenMapping, value_class
 from ..geometry.rotation_vector import rotvec_from_rotation
-from ..models.origin import Origin, single_point_weights
+from ..models.frames import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
 from ..results.calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration
@@ -24,7 +24,7 @@ from .camera_imu_rig import (
 )
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
 from .scenarios.camera_imu import CameraImuScenario
-from .truth import true_calibration
+from .sensor import true_calibration
 
 
 @value_class(eq=True)

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..frozen import field_names, value_class
 from ..geometry.quaternion import Floats
-from ..geometry.so3 import skew
+from ..geometry.rotation_vector import skew
 from .scenarios.camera_imu import CameraImuScenario, MotionName
 
 COORDINATES = ("azimuth", "elevation", "range", "roll", "yaw", "pitch", "shake_x", "shake_y", "shake_z")

@@ -6,8 +6,7 @@ from typing import Self
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rigid_body import acceleration_by_place, along_axes
-from ..geometry.rotation_vector import rotvec_from_rotation
+from ..geometry.rotation_vector import acceleration_by_place, along_axes, rotvec_from_rotation
 from ..models.camera import Booleans
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..results.calibration import ImuCalibration

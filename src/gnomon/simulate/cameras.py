@@ -19,7 +19,7 @@ from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
 from .scenarios.cameras import CamerasScenario
-from .truth import true_calibration
+from .sensor import true_calibration
 
 _TILT_BETWEEN_CAMERAS = np.array([0.004, -0.012, 0.007])
 _FOCAL_BETWEEN_CAMERAS = 1.004

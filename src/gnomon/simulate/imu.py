@@ -9,11 +9,10 @@ from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
-from ..results.intervals import Booleans
+from ..results.result import Booleans
 from .scenarios.recorded import Scenario
-from .sensor import Converter, drawn_imu, sensor_converters
+from .sensor import Converter, drawn_imu, sensor_converters, true_calibration
 from .trajectory import TOLERANCE_S, Motions, ThesisMotions, hand_motions, thesis_motions
-from .truth import true_calibration
 
 BLOCK = 65536
 """Samples that are made at a time; bounds the memory of a long recording."""

@@ -19,8 +19,7 @@ from ..results.calibration import (
 from ..results.sensors import rotate_imu
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .scenarios.recorded import FieldScenario, Scenario
-from .sensor import Converter, drawn_imu, sensor_converters
-from .truth import true_calibration
+from .sensor import Converter, drawn_imu, sensor_converters, true_calibration
 
 _LIKE = Scenario(accelerometer_misalignment=0.005, accelerometer_scale=(0.995, 1.005), gyroscope_scale=(0.98, 1.02))
 _RATES = {"sphere": (0.83, 0.47, 0.59), "one-axis": (0.0, 0.0, 0.9), "still": (0.0, 0.0, 0.0)}

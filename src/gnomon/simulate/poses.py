@@ -18,8 +18,7 @@ from ..results.calibration import (
     ImuCalibration,
 )
 from .scenarios.recorded import PoseScenario, Scenario
-from .sensor import Converter, drawn_imu, sensor_converters
-from .truth import true_calibration
+from .sensor import Converter, drawn_imu, sensor_converters, true_calibration
 
 TABLE_1 = AngrisanoTriad(
     angles=np.array([-0.0135, -0.0036, 0.0005]),

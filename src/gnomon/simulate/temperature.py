@@ -9,9 +9,9 @@ from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamples, TriadSamples
 from ..results.sensors import ImuCalibration, TemperatureDependence
 from .imu import simulate_imu
-from .noise import noise_blocks
 from .scenarios.recorded import NoiseScenario, Scenario
 from .scenarios.temperature import TemperatureScenario
+from .sensor import noise_blocks
 
 _MARGIN_K = 5.0
 _SIZES = {"gyroscope": (5e-4, 1e-5, 3e-7), "accelerometer": (5e-3, 1e-4, 3e-6)}

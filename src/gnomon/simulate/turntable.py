@@ -13,8 +13,7 @@ from ..results.calibration import Assessment, Calibration, ImuCalibration
 from ..results.sensors import rotate_imu
 from .poses import rest_directions
 from .scenarios.recorded import PoseScenario, Scenario, TurntableScenario
-from .sensor import drawn_imu, sensor_converters
-from .truth import true_calibration
+from .sensor import drawn_imu, sensor_converters, true_calibration
 
 RPM = 2 * np.pi / 60
 _SETTLED = 12.0  # time constants of the spin-up until the speed is kept

@@ -19,7 +19,7 @@ from ..frozen import value_class
 from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
-from ..results.intervals import Booleans
+from ..results.result import Booleans
 from ..simulate.poses import TABLE_1, PoseSimulation, simulate_poses
 from ..simulate.scenarios.recorded import PoseScenario
 

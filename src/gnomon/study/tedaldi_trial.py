@@ -12,12 +12,12 @@ from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
 from ..frozen import field_names, value_class
-from ..geometry.so3 import invert_matrix
+from ..geometry.rotation_vector import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, ImuCalibration
-from ..results.intervals import StaticIntervals, interval_means
+from ..results.result import StaticIntervals, interval_means
 from ..simulate.imu import TrueSignals, simulate_imu, true_signals
 from ..simulate.scenarios.recorded import Scenario
 

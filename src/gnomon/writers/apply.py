@@ -21,8 +21,7 @@ from ..kernel import load_kernel
 from ..kernel.library import join_columns
 from ..output import atomic_file
 from ..progress import Progress
-from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
-from ..readers.samples.stream import BlockRows, open_stream, read_thermometer, stream_of
+from ..readers.samples.stream import TRIADS, BlockRows, Blocks, SampleStream, open_stream, read_thermometer, stream_of
 from ..recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
 from ..recording.thermometer import TemperatureCourse
 from ..results.calibration import ImuCalibration

@@ -11,7 +11,7 @@ from ..formats.foreign import Residuals, Statistics
 from ..formats.kalibr.camchain import CAMCHAIN_FILE, camchain_text
 from ..formats.kalibr.imu import IMU_FILE, imu_text
 from ..formats.kalibr.results import RESULTS_FILE, KalibrResults
-from ..formats.shared.ignored_values import ignored_values
+from ..formats.shared.entries import ignored_values
 from ..formats.shared.losses import Context, StatedImu, file_remarks, loss_sentences, origin_remarks
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
@@ -19,8 +19,7 @@ from ..output import write_together
 from ..recording import Floats, ImuSamples, Recording
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
-from ..results.parameter_units import parameter_unit
-from ..results.parameters import calibration_parameters
+from ..results.parameters import calibration_parameters, parameter_unit
 from ..results.result import Result
 from .pose_files import TRAJECTORY_FILE, trajectory_text
 

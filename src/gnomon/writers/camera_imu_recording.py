@@ -37,8 +37,7 @@ from ..results.camera_diagnostics import TrajectoryTrack
 from ..simulate.camera_imu import CameraImuSimulation, MotionStatistics
 from ..simulate.images.board_images import simulated_images
 from ..simulate.images.room_images import room_images
-from ..simulate.scenarios.camera_imu import MOST_IMUS
-from ..simulate.scenarios.room import RoomScenario
+from ..simulate.scenarios.camera_imu import MOST_IMUS, RoomScenario
 from .pose_files import trajectory_text
 from .recording_file import save_recording
 from .recording_forms import PLACES, ImageForm, save_images

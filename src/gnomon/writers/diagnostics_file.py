@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from ..output import atomic_file
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics, CornerFit, SignalFit, TrajectoryTrack
-from ..results.imu_diagnostics import ImuDiagnostics
 from ..results.result import JoinedDiagnostics
-from ..results.triad_diagnostics import TriadDiagnostics
+from ..results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,

@@ -18,8 +18,8 @@ from ..formats.shared.yaml_text import yaml_lines
 from ..output import whole_folder
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples
-from ..recording.images import ImageRecording, ImageStream
-from .png_files import encode_frames
+from ..recording.frames import ImageRecording, ImageStream
+from .video import encode_frames
 
 _FRAMES = "#timestamp [ns],filename\n"
 _SAMPLES = (

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Literal
 
 from ..progress import Progress
-from ..recording.images import Frame, Grey, ImageRecording
+from ..recording.frames import Frame, Grey, ImageRecording
 from .bag_recording import save_bag
 from .euroc_folder import save_euroc
-from .png_files import save_simulated_images
+from .video import save_simulated_images
 
 _WORKERS, _AHEAD = 2, 8
 

@@ -14,8 +14,8 @@ from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, ca
 from ..frozen import value_class
 from ..models.frames import Floats, frame_rotation
 from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, calibration_parameters
-from ..results.parameter_units import element_units
-from ..simulate.truth import TRUTH_METHOD
+from ..results.parameters import element_units
+from ..simulate.sensor import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.added_findings import added_findings
+from gnomon.assess.weak_findings import added_findings
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.models.camera import Camera
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.assess.checks.clock_checks import check_clocks, check_epochs, fit_clock
-from gnomon.recording.images import Arrivals
+from gnomon.recording.frames import Arrivals
 
 EPOCH = 1_600_000_000_000_000_000
 BAD = {"warning", "problem"}

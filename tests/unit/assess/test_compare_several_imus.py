@@ -10,8 +10,7 @@ from gnomon.assess.comparison.candidates import ComparisonCandidate
 from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.observability import known_of, weak_directions
 from gnomon.assess.weak_findings import weak_findings
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.geometry.so3 import invert_matrix
+from gnomon.geometry.rotation_vector import invert_matrix, rotation_from_rotvec
 from gnomon.results.calibration import Covariance, Provenance
 
 SIGMA = 1e-4

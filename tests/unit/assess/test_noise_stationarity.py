@@ -6,11 +6,10 @@ from scipy.signal import butter, lfilter
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.errors import RecordingError
-from gnomon.estimate.allan.high_pass import find_high_pass
-from gnomon.estimate.allan.patterns import find_pattern
+from gnomon.estimate.allan.patterns import find_high_pass, find_pattern
 from gnomon.recording import ImuSamples, Recording, TriadSamples
-from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.scenarios.recorded import NoiseScenario
+from gnomon.simulate.sensor import noise_blocks
 
 SCENARIO = NoiseScenario(duration_s=1500.0, rate_hz=50.0)
 N, K = SCENARIO.gyroscope_white_noise, SCENARIO.gyroscope_random_walk

@@ -14,7 +14,7 @@ from gnomon.cli import main
 from gnomon.cli.commands.compare import sources_of
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
-from gnomon.simulate.truth import TRUTH_METHOD
+from gnomon.simulate.sensor import TRUTH_METHOD
 from html_page import Page
 
 

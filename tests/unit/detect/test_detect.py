@@ -24,7 +24,7 @@ from gnomon.detect.samples.threshold import choose_threshold, detect_rests, dist
 from gnomon.detect.samples.time_base import time_base
 from gnomon.detect.samples.turning import RateMarks, mark_rates
 from gnomon.recording import TriadSamples
-from gnomon.results.intervals import StaticIntervals, interval_means
+from gnomon.results.result import StaticIntervals, interval_means
 
 
 def triad(values, rate_hz=100.0, unit="m/s^2"):

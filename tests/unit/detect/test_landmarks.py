@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.landmarks.patches import Landmarks, cut_pieces
-from gnomon.detect.landmarks.tracks import follow_points
+from gnomon.detect.landmarks.tracks import Landmarks, cut_pieces, follow_points
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 

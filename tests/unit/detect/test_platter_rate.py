@@ -7,12 +7,12 @@ import pytest
 
 import platter_videos
 from gnomon.calibrate.platter_rate import rate_from_video
-from gnomon.detect.platter.clock import missing_frames, rate_by_jitter, stamps_are_nominal
 from gnomon.detect.platter.period import read_pictures
 from gnomon.detect.platter.rate import platter_rate
 from gnomon.detect.platter.steady import DeviationMeans, PhaseLine, even_rate, longest_run, steady_blocks
+from gnomon.detect.platter.turn import missing_frames, rate_by_jitter, stamps_are_nominal
 from gnomon.errors import DetectionError, OptionError, RecordingError
-from gnomon.recording.images import Frame, ImageStream
+from gnomon.recording.frames import Frame, ImageStream
 from gnomon.simulate.images.platter_video import simulate_platter_video
 from gnomon.writers.video import save_video
 from platter_videos import HARD, HOPELESS, RPM, scenario

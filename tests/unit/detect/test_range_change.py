@@ -9,7 +9,7 @@ from gnomon.assess.checks.protocol import find_imu_rests
 from gnomon.detect.samples.range_change import find_range_change
 from gnomon.detect.samples.threshold import RestDetection
 from gnomon.recording import Floats, ImuSamples
-from gnomon.results.intervals import StaticIntervals
+from gnomon.results.result import StaticIntervals
 from gnomon.simulate.imu import simulate_imu
 from gnomon.simulate.scenarios.recorded import Scenario
 from support.healthy import healthy_imu

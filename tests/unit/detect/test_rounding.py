@@ -8,7 +8,7 @@ from gnomon.detect.samples.noise import averaging_time
 from gnomon.detect.samples.rounding import rounding_variance
 from gnomon.recording import smallest_steps
 from gnomon.results.calibration import calibration_parameters
-from gnomon.results.intervals import StaticIntervals
+from gnomon.results.result import StaticIntervals
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.25, 0.5, 1.0])

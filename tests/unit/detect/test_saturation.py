@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gnomon.detect.samples.range_change import saturated_samples
 from gnomon.detect.samples.repair import drop_repeated_timestamps
-from gnomon.detect.samples.saturation import saturated_samples
 from gnomon.recording import TriadSamples
 
 

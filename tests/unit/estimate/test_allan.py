@@ -9,13 +9,12 @@ from scipy.signal import fftconvolve
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.estimate.allan import deviation as allan
-from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan
+from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan, product_sums
 from gnomon.estimate.allan.fit import AllanFit
 from gnomon.estimate.allan.model import KINDS, allan_design, estimate_covariance, line_effect
-from gnomon.estimate.allan.products import product_sums
 from gnomon.recording import Recording
-from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.scenarios.recorded import NoiseScenario
+from gnomon.simulate.sensor import noise_blocks
 
 Q, N, B, K = range(4)
 

@@ -15,7 +15,7 @@ from gnomon.estimate.multiposition.bias_changes import (
 from gnomon.estimate.multiposition.bias_segments import with_bias_steps
 from gnomon.estimate.multiposition.fit import fit_multiposition
 from gnomon.estimate.multiposition.unseen_changes import unseen_changes
-from gnomon.results.intervals import StaticIntervals, split_long
+from gnomon.results.result import StaticIntervals, split_long
 
 N = 40
 T_S = np.concatenate([[25.0], 50 + 6.0 * np.arange(N - 1)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from board_views import BOARD, STEP_NS, lens, pose, seen
-from gnomon.estimate.cameras.alike import views_alike
+from gnomon.estimate.cameras.noise import views_alike
 from gnomon.estimate.cameras.views import camera_corners, gathered_views, renumber_camera
 from gnomon.recording import CameraFrames
 

@@ -20,7 +20,7 @@ from gnomon.estimate.multiposition.model import (
 )
 from gnomon.estimate.multiposition.rotations import integrate_rates, propagate_directions
 from gnomon.estimate.multiposition.scaling import Scaling, to_physical_units
-from gnomon.geometry.so3 import tangent_basis
+from gnomon.geometry.rotation_vector import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.results.calibration import ImuCalibration, calibration_parameters, rotate_imu

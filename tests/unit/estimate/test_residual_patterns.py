@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.camera_imu.result.residual_patterns import _neighbours, _pattern, along_board
-from gnomon.estimate.camera_imu.terms.board import BoardPoints
+from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
 from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0

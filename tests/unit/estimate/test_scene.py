@@ -11,8 +11,13 @@ from gnomon.estimate.camera_imu.start.board_poses import resection_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
 from gnomon.estimate.landmarks.bundle import adjust_bundle
-from gnomon.estimate.landmarks.scene_path import find_scene_path
-from gnomon.estimate.landmarks.turns import SeenTurns, attitudes_of, rates_by_camera, turns_between
+from gnomon.estimate.landmarks.scene_path import (
+    SeenTurns,
+    attitudes_of,
+    find_scene_path,
+    rates_by_camera,
+    turns_between,
+)
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate import RoomScenario, simulate_camera_imu
 

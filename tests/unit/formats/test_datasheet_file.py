@@ -5,7 +5,7 @@ from math import degrees, nan, pi, sqrt
 import pytest
 
 from gnomon.errors import FormatError, OptionError
-from gnomon.formats.own.datasheet_file import load_datasheet
+from gnomon.formats.own.noise_file import load_datasheet
 from gnomon.results.datasheet import aliasing_factor, compare_datasheet
 from gnomon.results.sensor_noise import AxisNoise, Coefficient, SensorNoise, TriadNoise
 

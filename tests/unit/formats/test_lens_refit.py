@@ -12,7 +12,7 @@ from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.shared.lens_refit import with_known_lenses
 from gnomon.models.camera import Camera
-from gnomon.models.lens_programs import PROGRAMS, knows_lens, models_of, refit_models
+from gnomon.models.lens_names import PROGRAMS, knows_lens, models_of, refit_models
 from gnomon.results.calibration import Covariance
 from gnomon.results.parameters import covariance_names
 

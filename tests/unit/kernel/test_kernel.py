@@ -15,7 +15,7 @@ from camera_imu_problem import problem
 from gnomon import kernel
 from gnomon.detect.boards.tag_places import fit_homography, map_points
 from gnomon.detect.corners.corner_fit import fit_corners
-from gnomon.estimate.allan.products import product_sums
+from gnomon.estimate.allan.deviation import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.multiposition.rotations import MotionSegments, integrate_rates
 from gnomon.kernel.library import join_columns

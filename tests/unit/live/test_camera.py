@@ -11,13 +11,13 @@ from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.live.board_coach import BoardCoach
 from gnomon.live.camera_session import CameraSession
-from gnomon.live.image_recorder import ImageRecorder
 from gnomon.live.image_sources import SHOWN, CameraSource, ImageArrival, ImageSource, ReplayImages, open_image_source
+from gnomon.live.recorder import ImageRecorder
 from gnomon.live.sources import Pace
 from gnomon.live.trials import Trial, TrialOutcome, try_calibration
 from gnomon.models.camera import Camera
 from gnomon.readers.images.image_recording import open_images
-from gnomon.recording.images import Frame, ImageRecording, ImageStream
+from gnomon.recording.frames import Frame, ImageRecording, ImageStream
 from gnomon.simulate.cameras import simulate_cameras
 from support.live_images import GREY, STATISTICS, views_of
 

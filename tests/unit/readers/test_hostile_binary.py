@@ -18,7 +18,7 @@ import gnomon
 from bag_maker import make_bag, usual
 from gnomon.errors import GnomonError, RecordingError
 from gnomon.readers import files
-from gnomon.readers.bags.unpacking import TooLargeError, unpack_bytes
+from gnomon.readers.bags.messages import TooLargeError, unpack_bytes
 from gnomon.readers.images.image_file import read_grey
 from gnomon.readers.images.image_pixels import stated_pixels
 from gnomon.readers.images.image_recording import open_images

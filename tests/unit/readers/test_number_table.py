@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from gnomon.readers.samples import number_table
-from gnomon.readers.samples.number_table import parse_number_table
+from gnomon.readers.samples import text_table
+from gnomon.readers.samples.text_table import parse_number_table
 
 
 def read_slowly(data: bytes, kinds: list[str]):
@@ -19,7 +19,7 @@ def read_slowly(data: bytes, kinds: list[str]):
 @pytest.mark.parametrize("block", [2048, 1 << 20])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_numbers_are_those_of_numpy_to_the_last_bit(monkeypatch, block, end) -> None:
-    monkeypatch.setattr(number_table, "_BLOCK", block)
+    monkeypatch.setattr(text_table, "_BLOCK", block)
     rng = np.random.default_rng(1)
     values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-300, 300, (200, 3))
     stamps = rng.integers(-(2**63), 2**63 - 1, 200)

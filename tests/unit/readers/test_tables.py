@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
-from gnomon.geometry.so3 import invert_matrix
+from gnomon.geometry.rotation_vector import invert_matrix
 from gnomon.models.forms import TedaldiAccelerometer
 from gnomon.results.calibration import (
     AccelerometerCalibration,

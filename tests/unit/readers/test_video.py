@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gnomon.errors import RecordingError
+from gnomon.readers.images.image_file import is_video
 from gnomon.readers.images.image_recording import holds_images, open_images
-from gnomon.readers.images.video_kind import is_video
 from image_folders import START, frames_of, picture, stamps, write_samples, write_video
 
 

@@ -14,8 +14,8 @@ from gnomon.report import write_report
 from gnomon.report.drawing.figures import Sheet, coarsen_envelope, draw_dots, thin_points
 from gnomon.report.imu_parameters import parameter_groups
 from gnomon.report.numbers import fixed_text, number_text, quantity_text, si_prefix, with_sigma
-from gnomon.results.imu_diagnostics import DetectorTrace
 from gnomon.results.result import Result
+from gnomon.results.sensor_diagnostics import DetectorTrace
 from html_page import Page
 
 

@@ -13,8 +13,7 @@ from gnomon.report.studies.tedaldi import tedaldi_page
 from gnomon.simulate.imu import simulate_imu, true_signals
 from gnomon.simulate.scenarios.recorded import Scenario
 from gnomon.study import tedaldi
-from gnomon.study.tedaldi import study_tedaldi, tedaldi_trials
-from gnomon.study.tedaldi_claims import (
+from gnomon.study.tedaldi import (
     GROUPS,
     MEAN_ERROR,
     SET_1,
@@ -23,8 +22,10 @@ from gnomon.study.tedaldi_claims import (
     group_errors,
     noise_alone,
     sigma_over_scatter,
+    study_tedaldi,
     tedaldi_claims,
     tedaldi_tables,
+    tedaldi_trials,
 )
 from gnomon.study.tedaldi_trial import (
     METHODS,

@@ -7,8 +7,14 @@ import pytest
 
 from gnomon.report.page import render_page
 from gnomon.report.studies.temperature import temperature_study_page
-from gnomon.study.temperature import METHODS, TemperatureStudy, TemperatureTask, run_temperature
-from gnomon.study.temperature_claims import temperature_claims, temperature_tables
+from gnomon.study.temperature import (
+    METHODS,
+    TemperatureStudy,
+    TemperatureTask,
+    run_temperature,
+    temperature_claims,
+    temperature_tables,
+)
 
 pytestmark = pytest.mark.long
 

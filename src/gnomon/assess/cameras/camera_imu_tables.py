@@ -14,7 +14,7 @@ from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertai
 from ...estimate.camera_imu.solution import Solution, frame_mean_square
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
-from ...estimate.camera_imu.terms.board import OFFSETS
+from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.imu_prediction import predicted_readings, specific_force
 from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, body_clock_times
 from ...estimate.camera_imu.terms.visual_terms import exposure_times

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...estimate.camera_imu.model_ladder import LADDER
+from ...estimate.camera_imu.choices import LADDER
 from ...estimate.camera_imu.start.first_guess import imu_stream
 from ...findings import Finding, make_finding
 from ...geometry.rotation_vector import rotvec_from_rotation

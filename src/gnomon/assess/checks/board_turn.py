@@ -14,7 +14,7 @@ from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _NEAR_S, _FAR_S = 1.0, 3.0
 """Frames up to the first are compared; those from the first to the second tell whether it lasts."""

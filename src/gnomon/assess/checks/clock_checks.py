@@ -13,7 +13,7 @@ import numpy as np
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.images import Arrivals
+from ...recording.frames import Arrivals
 
 DRIFT_PPM, SIGMAS = 20.0, 3.0
 """Drift from which on it is told: 20 ppm are 1.2 ms a minute, a hundred times the uncertainty of a time shift."""

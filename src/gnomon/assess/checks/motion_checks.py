@@ -7,7 +7,7 @@ import numpy as np
 from ...detect.samples.range_change import RangeChange, find_range_change
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples, measurable_numbers
-from ...results.intervals import StaticIntervals
+from ...results.result import StaticIntervals
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 from .protocol import looks_like, range_changed_finding, why_no_gravity
 from .signals import check_signal, check_stamps, check_vibration, is_silent

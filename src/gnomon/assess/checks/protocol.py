@@ -6,14 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from ...detect.samples.range_change import RangeChange
+from ...detect.samples.range_change import RangeChange, saturated_samples
 from ...detect.samples.repair import repair_samples
 from ...detect.samples.rests import Rests
-from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.threshold import RestDetection, detect_rests
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .signals import is_silent
 

@@ -23,7 +23,7 @@ from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .board_turn import BoardTurns, board_turns
 
 _STEP_S = 0.1

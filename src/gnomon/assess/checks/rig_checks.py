@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.range_change import find_range_change
-from ...detect.samples.saturation import saturated_samples
+from ...detect.samples.range_change import find_range_change, saturated_samples
 from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import (
     Alignment,
@@ -22,7 +21,7 @@ from ...findings import Finding, make_finding
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Recording
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings

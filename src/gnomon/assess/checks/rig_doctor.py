@@ -16,7 +16,7 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress
 from ...recording import FrameQuality, ImuSamples, Integers, Recording
-from ...recording.images import Frame, Grey, ImageRecording, ImageStream
+from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
 from .camera_checks import (
     all_stamps,
     check_cameras,

@@ -15,11 +15,11 @@ import numpy as np
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses, thin_exposures
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import skew
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _FEWEST_FRAMES, _ENOUGH_FRAMES = 30, 250
 _LONGEST_S = 0.35

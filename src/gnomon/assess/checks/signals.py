@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import isolated_readings
 from ...detect.samples.repeats import repeated_stretches
-from ...detect.samples.saturation import saturated_samples
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples

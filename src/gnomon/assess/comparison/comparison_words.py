@@ -8,7 +8,7 @@ from math import degrees
 import numpy as np
 
 from ...findings import Finding, join_names, make_finding
-from ...models.origin import Origin
+from ...models.frames import Origin
 from ...recording import Floats
 from ...results.calibration import Covariance
 from ...results.parameters import element_names, moved_to_origin

@@ -7,7 +7,7 @@ import numpy as np
 from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
 from ...findings import Finding, make_finding
 from ...recording import Floats
-from ...results.imu_diagnostics import BiasSegments, ImuDiagnostics
+from ...results.sensor_diagnostics import BiasSegments, ImuDiagnostics
 from ...results.sensors import TemperatureDependence
 from ..checks.protocol import significant_cluster
 from .imu_tables import ImuFitSummary, interval_numbers

@@ -15,7 +15,8 @@ from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.trust.cluster_trust import Instability
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.imu_diagnostics import (
+from ...results.result import Booleans, interval_means
+from ...results.sensor_diagnostics import (
     AllanCurve,
     BiasSegments,
     DetectorTrace,
@@ -25,7 +26,6 @@ from ...results.imu_diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from ...results.intervals import Booleans, interval_means
 from ...results.sensors import TemperatureDependence
 from ...results.trust import Trust
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S

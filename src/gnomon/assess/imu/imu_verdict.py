@@ -10,7 +10,7 @@ from ...estimate.multiposition.scaling import ImuEstimate
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
-from ...results.imu_diagnostics import ImuDiagnostics
+from ...results.sensor_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..checks.protocol import left_out_rests_findings as rests_left_out
 from ..verdict import (

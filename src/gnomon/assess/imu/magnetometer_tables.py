@@ -4,15 +4,15 @@ import numpy as np
 
 from ...estimate.triads.dip import DipFit
 from ...estimate.triads.field_poses import FieldPoses, field_of
-from ...estimate.triads.gravity_along import GravityFit
+from ...estimate.triads.known_attitudes import GravityFit
 from ...estimate.triads.magnetometer import MagnetometerFit
 from ...estimate.trust.cluster_trust import RobustCovariance
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.calibration import Gravity
-from ...results.intervals import Booleans
+from ...results.result import Booleans
+from ...results.sensor_diagnostics import DipTable, PoseTable, TriadDiagnostics, TriadRecord, TriadTrial
 from ...results.sensors import ImuCalibration
-from ...results.triad_diagnostics import DipTable, PoseTable, TriadDiagnostics, TriadRecord, TriadTrial
 
 _ROWS, _ATTITUDES = 400, 200
 _STRAY = 6.0  # sigmas

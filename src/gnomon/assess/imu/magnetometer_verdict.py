@@ -7,9 +7,9 @@ from ...findings import Finding, Severity, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
 from ...units import MAGNETOMETER_UNITS_UT
-from ..prior_findings import prior_findings
 from ..priors import NAMES, TRIADS, Prior
 from ..verdict import bias_findings, grade_by_limits, merge_by_cause, parts_disagree, uncertainty_summary, verdict_of
+from ..weak_findings import prior_findings
 from .imu_verdict import convergence_findings
 from .magnetometer_tables import FieldFitSummary, FieldOutliers, field_outliers
 

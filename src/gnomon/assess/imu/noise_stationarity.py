@@ -7,12 +7,11 @@ from math import erf, sqrt
 import numpy as np
 
 from ...detect.samples.rest import RestTable
-from ...estimate.allan.high_pass import HighPass, find_high_pass
-from ...estimate.allan.patterns import MeansPattern, find_pattern
+from ...estimate.allan.patterns import HighPass, MeansPattern, find_high_pass, find_pattern
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _SEGMENTS, _FEWEST_WINDOWS = 12, 5
 _UNEVEN = 5.0  # sigmas of a segment's level

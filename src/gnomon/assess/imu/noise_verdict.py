@@ -12,7 +12,7 @@ from ...estimate.allan.fit import AxisFit
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...results.sensor_noise import TriadNoise
 from ..verdict import grade_by_limits
 

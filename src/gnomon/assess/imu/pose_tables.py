@@ -4,8 +4,7 @@ import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
 from ...estimate.triads.known_attitudes import StatedAttitudes
-from ...estimate.triads.pose_drift import PoseDrift
-from ...estimate.triads.pose_step import PoseStep
+from ...estimate.triads.pose_drift import PoseDrift, PoseStep
 from ...estimate.triads.rotation_sensitivity import RotationSensitivity
 from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ...estimate.triads.triad import TriadFit
@@ -14,8 +13,8 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, Poses
 from ...results.calibration import AccelerometerCalibration, Gravity
-from ...results.intervals import Booleans
-from ...results.triad_diagnostics import GyroscopeAtRest, IterationHistory, PoseTable, TriadDiagnostics, TriadRecord
+from ...results.result import Booleans
+from ...results.sensor_diagnostics import GyroscopeAtRest, IterationHistory, PoseTable, TriadDiagnostics, TriadRecord
 from ..priors import Prior
 from .imu_tables import uncalibrated_error
 

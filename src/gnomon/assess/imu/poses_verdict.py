@@ -3,14 +3,13 @@
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
-from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift
-from ...estimate.triads.pose_step import PoseStep
+from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift, PoseStep
 from ...estimate.triads.triad_poses import B_, S_
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ...results.parameters import element_names
-from ...results.triad_diagnostics import PoseTable, TriadDiagnostics
+from ...results.sensor_diagnostics import PoseTable, TriadDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2
 from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, uncertainty_summary, verdict_of
 from .imu_tables import root_mean_square

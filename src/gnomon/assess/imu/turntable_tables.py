@@ -10,7 +10,7 @@ from ...estimate.turntable.parts import TurntableParts
 from ...frozen import value_class
 from ...recording import Floats
 from ...results.calibration import Gravity
-from ...results.triad_diagnostics import (
+from ...results.sensor_diagnostics import (
     GyroscopeAtRest,
     PeriodCurve,
     PoseTable,

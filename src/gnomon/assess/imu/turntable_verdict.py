@@ -9,7 +9,7 @@ from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import TurntableOptions
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
-from ...results.triad_diagnostics import TriadDiagnostics
+from ...results.sensor_diagnostics import TriadDiagnostics
 from ...results.trust import UncertaintySummary
 from ...units import GYROSCOPE_UNITS_RAD_S
 from ..verdict import (

@@ -25,14 +25,13 @@ from ...estimate.multiposition.rotations import MotionSegments
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.multiposition.tedaldi import RULES, leave_group_out
 from ...findings import make_finding
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...options import ImuOptions
 from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import Assessment, Calibration, Covariance, Gravity, Holdout, Provenance, covariance_names
-from ...results.imu_diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
-from ...results.intervals import interval_means
-from ...results.result import Result
+from ...results.result import Result, interval_means
+from ...results.sensor_diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
 from ..steps.preparation import (
     PreparedImu,
     imu_calibration,

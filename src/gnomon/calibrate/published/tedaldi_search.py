@@ -20,7 +20,7 @@ from ...estimate.multiposition.tedaldi import (
 )
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
-from ...results.intervals import StaticIntervals, interval_means
+from ...results.result import StaticIntervals, interval_means
 from ..steps.preparation import PreparedImu
 
 _FEWEST_AT_FIRST = 10  # samples that tell the noise

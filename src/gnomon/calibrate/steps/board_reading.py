@@ -18,9 +18,9 @@ from ...formats.kalibr.camchain import CameraInput
 from ...models.target import Target
 from ...output import atomic_file, remove_parts
 from ...progress import Progress
-from ...readers.zips import ZIP_DAMAGE, refuse_false_arrays
+from ...readers.files import ZIP_DAMAGE, refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Source
-from ...recording.images import ImageRecording
+from ...recording.frames import ImageRecording
 from .board_corners import BoardCorners, CameraImages, detect_corners
 
 DETECTORS = 6

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.added_findings import comparison_left_out
+from ...assess.weak_findings import comparison_left_out
 from ...errors import OptionError, SolveError
 from ...estimate.camera_imu.batch import Measurements, RigState
 from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances

@@ -16,19 +16,27 @@ import numpy as np
 
 from ...errors import SolveError
 from ...estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
-from ...estimate.camera_imu.choices import estimation_choices, imu_blocks, lens_tolerances
+from ...estimate.camera_imu.choices import (
+    ARMS,
+    DELAY,
+    EXTRAS,
+    LADDER,
+    estimation_choices,
+    evaluate_nested_models,
+    imu_blocks,
+    lens_tolerances,
+    step_columns,
+)
 from ...estimate.camera_imu.gauss_newton import apply_step, gauss_newton_step, step_by
 from ...estimate.camera_imu.layout import BorderLayout, border_layout
-from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, evaluate_nested_models, step_columns
 from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.cluster_sums import cluster_sums
 from ...estimate.camera_imu.result.residual_patterns import board_evidence, counting_corners
 from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
-from ...estimate.camera_imu.terms.board import OFFSETS
+from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
-from ...estimate.trust.clusters import ClusterSums
-from ...estimate.trust.robust import correlation_time, group_into_clusters
+from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters
 from ...findings import Finding
 from ...frozen import value_class
 from ...models.target import Target

@@ -8,10 +8,10 @@ import numpy as np
 from ...assess.checks.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ...assess.checks.camera_checks import check_cameras
 from ...assess.checks.rig_checks import check_clock_changes, check_look, name_imu
-from ...assess.prior_findings import cameras_disagree
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
+from ...assess.weak_findings import cameras_disagree
+from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
-from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels

@@ -22,10 +22,10 @@ from ...models.target import Target
 from ...readers.files import file_source
 from ...readers.images.image_recording import open_images
 from ...readers.rig.camera_folder import holds_corners, recording_folder
-from ...readers.rig.camera_imu import read_corner_recording
+from ...readers.rig.corner_frames import read_corner_recording
 from ...readers.rig.imu_stream import with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
-from ...recording.images import ImageRecording, ImageStream
+from ...recording.frames import ImageRecording, ImageStream
 from ...units import Units
 from .board_reading import Progress, read_camera_corners, stated_cameras
 

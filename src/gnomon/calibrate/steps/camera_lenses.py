@@ -12,19 +12,18 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import GnomonError, OptionError, SolveError
-from ...estimate.cameras.alike import views_alike
 from ...estimate.cameras.first_lens import fit_lens_model, general_lens
 from ...estimate.cameras.first_rig import first_rig
 from ...estimate.cameras.holdout import held_out_residuals
+from ...estimate.cameras.noise import views_alike
 from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.cameras.views import view_corners
-from ...estimate.trust.clusters import held_out_costs
-from ...estimate.trust.robust import correlation_time, group_into_clusters
+from ...estimate.trust.clusters import correlation_time, group_into_clusters, held_out_costs
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
-from ...models.lens_programs import read_everywhere
+from ...models.lens_names import read_everywhere
 from ...models.projections import PROJECTIONS
 from ...recording import Floats, Integers
 from ...results.camera_diagnostics import LensTrial
@@ -134,7 +133,7 @@ def chosen_lenses(
     views : "cam0", ... -> views of this camera alone
     stated : its model, where one was stated; the others are tried nevertheless
     among : models to choose from; others are tried, too. Empty for the usual ones, of which one that every program
-        reads (`lens_programs.read_everywhere`) is taken where its hold-out error is within 3 % of the best
+        reads (`lens_names.read_everywhere`) is taken where its hold-out error is within 3 % of the best
     robust, most_iterations : of the estimation
 
     Raises

@@ -24,9 +24,9 @@ from ...readers.images.image_file import read_grey
 from ...readers.images.image_recording import open_images
 from ...readers.recordings import ReadLog
 from ...readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
-from ...readers.rig.camera_imu import folder_corners
+from ...readers.rig.corner_frames import folder_corners
 from ...recording import CameraFrames, Recording
-from ...recording.images import ImageStream
+from ...recording.frames import ImageStream
 from ...units import Units
 from .board_reading import Progress, read_camera_corners, stated_cameras
 

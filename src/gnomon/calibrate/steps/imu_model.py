@@ -9,10 +9,15 @@ from ...estimate.multiposition.fit import Knowledge, MultiPositionFit, fit_multi
 from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors, leave_one_out
 from ...estimate.multiposition.model import MultiPositionState
 from ...estimate.multiposition.problem import MultiPositionProblem
-from ...estimate.multiposition.scaling import ImuEstimate, blocks_of_scalars, sensor_scalars
+from ...estimate.multiposition.scaling import (
+    ImuEstimate,
+    blocks_of_scalars,
+    free_jacobian,
+    segment_sums,
+    sensor_scalars,
+)
 from ...estimate.multiposition.steps import as_table, imu_models
-from ...estimate.multiposition.sums import free_jacobian, segment_sums
-from ...estimate.trust.robust import correlation_time, group_into_clusters
+from ...estimate.trust.clusters import correlation_time, group_into_clusters
 from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats

@@ -10,23 +10,28 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ...ahead import results_ahead
-from ...detect.landmarks.patches import Landmarks, cut_pieces
-from ...detect.landmarks.tracks import PointTracks, follow_points
+from ...detect.landmarks.tracks import Landmarks, PointTracks, cut_pieces, follow_points
 from ...errors import DetectionError, InitialisationError, RecordingError
 from ...estimate.camera_imu.start.alignment import Alignment, align_camera, gyroscope_integral
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...estimate.landmarks.bundle import adjust_bundle
-from ...estimate.landmarks.scene_path import find_scene_path
-from ...estimate.landmarks.turns import SeenTurns, attitudes_of, rates_by_camera, turning_poses, turns_between
+from ...estimate.landmarks.scene_path import (
+    SeenTurns,
+    attitudes_of,
+    find_scene_path,
+    rates_by_camera,
+    turning_poses,
+    turns_between,
+)
 from ...findings import Finding, make_finding
 from ...formats.kalibr.camchain import CameraInput
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
+from ...processes import results_ahead
 from ...progress import Progress, Step
 from ...recording import CameraFrames, Floats, ImuSamples, Integers
-from ...recording.images import Frame, Grey, ImageStream
+from ...recording.frames import Frame, Grey, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _KEYS_HZ = 5.0

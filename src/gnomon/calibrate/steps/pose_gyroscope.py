@@ -14,7 +14,7 @@ from ...estimate.triads.rotation_sensitivity import RotationSensitivity, fit_rot
 from ...estimate.triads.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
 from ...estimate.triads.triad import TriadFit
 from ...estimate.triads.triad_poses import B_, G_, S_, TriadPrior
-from ...geometry.so3 import invert_matrix, nearest_rotation
+from ...geometry.rotation_vector import invert_matrix, nearest_rotation
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import ImuOptions
 from ...recording import Floats

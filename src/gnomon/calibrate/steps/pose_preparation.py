@@ -6,9 +6,9 @@ import numpy as np
 
 from ...assess.checks.signals import check_signal
 from ...detect.samples.noise import resting_noise
+from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
 from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.static import (
     resting_variances,
     runs_below,
@@ -25,7 +25,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means
 from .preparation import PreparedImu, assumption_finding, check_and_detect, raise_first_problem
 from .protocol import GAP_NS, recording_gaps
 

@@ -10,10 +10,10 @@ import numpy as np
 from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
 from ...detect.samples.noise import resting_noise
+from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.threshold import RestDetection
 from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
@@ -21,7 +21,7 @@ from ...estimate.multiposition.problem import TriadStream
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.so3 import nearest_rotation
+from ...geometry.rotation_vector import nearest_rotation
 from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
@@ -37,7 +37,7 @@ from ...results.calibration import (
     calibration_parameters,
     rotate_imu,
 )
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 from .temperature_while_turned import chip_temperature, rose_and_fell
 
 _POSE = re.compile(r"([xyz])=(-?)(\d+)")

@@ -6,7 +6,7 @@ from ...detect.samples.threshold import FEWEST_INTERVALS
 from ...errors import DetectionError
 from ...options import ImuOptions
 from ...recording import Recording, TriadSamples
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .preparation import PreparedImu
 
 LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})

@@ -15,7 +15,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...options import StatedRate
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 
 _FORCE_BLOCK_S = 0.125
 

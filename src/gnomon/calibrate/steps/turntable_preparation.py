@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
+from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
-from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.turntable.parts import TurntableParts
@@ -15,7 +15,7 @@ from ...estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
 from ...findings import Finding, make_finding
 from ...options import StatedRate, TurntableOptions
 from ...recording import Floats, Integers, Recording, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means
 from ...units import GYROSCOPE_UNITS_RAD_S
 from .turntable_attitudes import PlatterStream, turntable_parts
 

@@ -10,7 +10,7 @@ from ...estimate.temperature.bias_drift import WarmUp
 from ...frozen import value_class
 from ...recording import Floats, ImuSamples, Integers, Recording
 from ...recording.thermometer import known_readings, temperature_course
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 TRIADS = ("gyroscope", "accelerometer")
 _BIN_S, _BINS = 5.0, (20, 90)

@@ -15,7 +15,7 @@ from ..terminal import Terminal
 
 if TYPE_CHECKING:
     from ...fleet.library import Library
-    from ..device_runs import DeviceOutcome, DeviceTask
+    from ..devices import DeviceOutcome, DeviceTask
 
 LIBRARY = "library.db"
 Kind = Literal["imu", "camera-imu", "camera", "magnetometer"]
@@ -66,7 +66,7 @@ class Batch(Command):
         """Calibrate what is not done yet, and return the exit code."""
         from ...fleet.library import Library
         from ...study.runs import Records, Workers, carry_out
-        from ..device_runs import RunJournal, calibrate_device
+        from ..devices import RunJournal, calibrate_device
 
         recordings = find_recordings(self.folders, self.devices)
         place = Path(self.folders[0].absolute())
@@ -91,7 +91,7 @@ class Batch(Command):
     def _tasks(self, recordings: list[Path], folder: Path) -> "list[DeviceTask]":
         from ..._version import __version__
         from ..catalogue import parse_command
-        from ..device_runs import DeviceTask
+        from ..devices import DeviceTask
 
         table = read_device_table(self.devices) if self.devices else {}
         try:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ...errors import OptionError, RecordingError
-from ...models.lens_programs import check_program, refit_models
+from ...models.lens_names import check_program, refit_models
 from ...options import CameraOptions
 from ...simulate.scenarios.cameras import CamerasScenario
 from ...units import Units

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ...assess.checks.rig_doctor import RigSummary
     from ...findings import Finding
     from ...recording import ImuSamples, Integers, Recording, TriadSamples
-    from ...recording.images import ImageRecording
+    from ...recording.frames import ImageRecording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class Check(Command):
 
 
 def _is_bag_of_imu(path: Path) -> bool:
-    from ...readers.devices.bag_log import is_imu_bag
+    from ...readers.devices.device_log import is_imu_bag
 
     if not is_imu_bag(path):
         return False

@@ -98,7 +98,7 @@ class Noise(Command):
         return code
 
     def _sheet(self) -> "Datasheet | None":
-        from ...formats.own.datasheet_file import load_datasheet
+        from ...formats.own.noise_file import load_datasheet
 
         if self.bandwidth_hz is not None and not (self.datasheet and 0 < self.bandwidth_hz < inf):
             raise OptionError("--bandwidth-hz must be greater than zero, and goes with --datasheet.")
@@ -189,7 +189,7 @@ class SimulateNoise(Command):
     def run(self, terminal: Terminal) -> int:
         """Write a recording of simulated noise, say where, and return the exit code."""
         from ...results.sensor_noise import SENSOR_UNITS
-        from ...simulate.noise import noise_blocks
+        from ...simulate.sensor import noise_blocks
         from ...writers.recording_file import save_blocks
 
         scenario = self.scenario

@@ -96,8 +96,7 @@ def _angrisano() -> StudyFunctions:
 
 def _circuit() -> StudyFunctions:
     from ...report.studies.circuit import circuit_page
-    from ...study.circuit import study_circuit
-    from ...study.circuit_claims import circuit_claims, circuit_tables
+    from ...study.circuit import circuit_claims, circuit_tables, study_circuit
 
     return StudyFunctions(carry_out=study_circuit, claims=circuit_claims, tables=circuit_tables, page=circuit_page)
 
@@ -112,16 +111,14 @@ def _krebs() -> StudyFunctions:
 
 def _tedaldi() -> StudyFunctions:
     from ...report.studies.tedaldi import tedaldi_page
-    from ...study.tedaldi import study_tedaldi
-    from ...study.tedaldi_claims import tedaldi_claims, tedaldi_tables
+    from ...study.tedaldi import study_tedaldi, tedaldi_claims, tedaldi_tables
 
     return StudyFunctions(carry_out=study_tedaldi, claims=tedaldi_claims, tables=tedaldi_tables, page=tedaldi_page)
 
 
 def _temperature() -> StudyFunctions:
     from ...report.studies.temperature import temperature_study_page
-    from ...study.temperature import study_temperature
-    from ...study.temperature_claims import temperature_claims, temperature_tables
+    from ...study.temperature import study_temperature, temperature_claims, temperature_tables
 
     return StudyFunctions(
         carry_out=study_temperature, claims=temperature_claims, tables=temperature_tables, page=temperature_study_page

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ...options import StatedRate
     from ...recording import Recording
     from ...results.result import Result
-    from ...results.triad_diagnostics import PeriodCurve
+    from ...results.sensor_diagnostics import PeriodCurve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +160,7 @@ def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRat
 
 
 def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
-    from ...results.triad_diagnostics import PeriodCurve
+    from ...results.sensor_diagnostics import PeriodCurve
 
     return PeriodCurve(
         name=name,
@@ -173,7 +173,7 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
 
 def _summary_lines(result: "Result") -> Iterator[str]:
     """Yield lines on what the calibration rests on, and the speeds."""
-    from ...results.triad_diagnostics import TriadDiagnostics
+    from ...results.sensor_diagnostics import TriadDiagnostics
     from .. import summary
 
     diagnostics = result.diagnostics

@@ -19,7 +19,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, join_corner_fits
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen

@@ -17,7 +17,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from ..corners.corner_fit import CornerKind
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of

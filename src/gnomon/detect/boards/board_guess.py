@@ -11,7 +11,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from .board import DIFFERS
 from .checkerboard import board_near, checkerboard_search_scale, reduce_image
 from .checkerboard_grid import fill_grid

@@ -9,7 +9,7 @@ import numpy as np
 from ...models.board_pattern import black_square
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from .lattice import Lattice, find_lattices, find_saddles
 from .tags import cells_in, marker_pictures, of_unit_length, square_to_quads
 

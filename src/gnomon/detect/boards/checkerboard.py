@@ -18,7 +18,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from ..corners.corner_fit import fit_corners
 from .board import SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps, reaches_outside

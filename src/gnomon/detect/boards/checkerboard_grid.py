@@ -5,7 +5,7 @@ import numpy as np
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from .board import middle_of
 from .lattice import Lattice
 

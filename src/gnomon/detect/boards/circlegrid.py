@@ -16,7 +16,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .checkerboard import reduce_image
 from .disc_fit import DiscFits, fit_discs

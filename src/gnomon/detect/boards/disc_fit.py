@@ -14,7 +14,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from ..corners.corner_windows import Singles, normal_distribution, pack_rows
 from ..corners.fitted_corners import PointFits, damp_diagonals
 

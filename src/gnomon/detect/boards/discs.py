@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from ...frozen import value_class
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from .lattice import Lattice, laid_out
 from .quads import black_limits
 

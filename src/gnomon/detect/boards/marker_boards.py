@@ -7,7 +7,7 @@ import numpy as np
 
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 from ..corners.fitted_corners import CornerFits, PointFits
 from .board import BoardView, middle_of, nothing_seen
 from .plane_map import LensGuess, PlaneMap, correct_corners

@@ -5,7 +5,7 @@ import numpy as np
 
 from ...models.camera import Booleans
 from ...recording import Floats
-from ...recording.images import Grey
+from ...recording.frames import Grey
 
 _WINDOW, _LEVELS, _STEPS, _STEP_PX = 13, 2, 15, 0.05
 

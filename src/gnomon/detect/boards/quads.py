@@ -11,7 +11,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...recording.images import Grey
+from ...recording.frames import Grey
 
 LARGE_IMAGE_PX = 1.3e6
 """Images with more pixels are first looked through at half of their resolution."""

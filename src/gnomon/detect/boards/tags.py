@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...models.board_pattern import marker_cells
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 
 BITS = 6
 """Bits of a code along a side."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ...recording.images import Grey
+from ...recording.frames import Grey
 
 Singles = NDArray[np.floating[Any]]
 SATURATED = 255

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .period import PictureSeries, RoughPeriod
 from .phase import COARSE_HARMONICS, MOST_HARMONICS, PhaseTemplate, learn_template, place_phases, refine_phases
 from .steady import (

@@ -11,21 +11,22 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...progress import Progress
 from ...recording import Floats, frozen_array
-from ...recording.images import ImageStream
-from .clock import (
-    MEASURED_CLOCK,
-    NOMINAL_CLOCK,
-    UNCHECKED_CLOCK,
-    missing_frames,
-    rate_by_jitter,
-    stamps_are_nominal,
-)
-from .findings import rate_findings
+from ...recording.frames import ImageStream
 from .follow import Followed, agreeing_share, follow_repetition
 from .period import PictureSeries, RoughPeriod, read_pictures, rough_periods
 from .phase import COARSE_HARMONICS, learn_template, refine_phases
 from .steady import PhaseLine, blocks_of, even_rate
-from .turn import PatternTurn, pattern_turn
+from .turn import (
+    MEASURED_CLOCK,
+    NOMINAL_CLOCK,
+    UNCHECKED_CLOCK,
+    PatternTurn,
+    missing_frames,
+    pattern_turn,
+    rate_by_jitter,
+    rate_findings,
+    stamps_are_nominal,
+)
 
 FEWEST_TURNS = 3.0
 FASTEST_RAD_S = 2000 * np.pi / 180

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _OUTLYING = 4.0
 _FINEST = 2e-3  # rad: no block is known better

@@ -1,15 +1,172 @@
-"""How far the platter turns while its picture repeats itself once: by how the pattern moves in the image."""
+"""What the timestamps of a video are worth: a clock, or a number of frames.
 
+What is said about the rate of a platter: its clock, its steady part, its evenness, its pattern.
+
+How far the platter turns while its picture repeats itself once: by how the pattern moves in the image.
+"""
+
+from collections.abc import Iterator
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...recording import Floats
+from ...recording import Floats, Integers
 from .phase import PhaseTemplate
+
+if TYPE_CHECKING:
+    from .rate import PlatterRate
+
+
+MEASURED_CLOCK, NOMINAL_CLOCK, UNCHECKED_CLOCK = 5e-5, 1e-3, 5e-3
+"""Relative standard deviation of the time that timestamps tell: by a quartz that stamped the frames; by a frame rate
+that the video merely states (29.97 against 30 frames per second, and what cameras make of it); the same where frames
+may be missing, unnoticed."""
+
+_ROUNDING_S = 6e-4  # Matroska rounds to 1 ms
+_FEWEST = 8
+_EVEN_S = 1e-6
+
+
+def stamps_are_nominal(t_s: Floats) -> bool:
+    """Tell whether frames stand at even times, so that the video states a frame rate and no times."""
+    if len(t_s) < _FEWEST:
+        return True
+    steps = np.diff(t_s)
+    step = float(np.median(steps))
+    off = t_s - t_s[0]
+    for _ in range(3):  # frames may be missing
+        number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / step), 1))])
+        step, start = np.polyfit(number, t_s, 1).tolist()
+        off = t_s - start - step * number
+    return bool(np.abs(off).max() < _ROUNDING_S)
+
+
+def rate_by_jitter(t_s: Floats, off: Floats) -> tuple[float, float]:
+    """Return by how much the phase changes more with irregular timestamps than a line has it, and its sigma [rad/s].
+
+    Between two frames a platter may have made whole turns more than it seems. Where frames come irregularly, its
+    phase then runs ahead and behind with them.
+
+    Parameters
+    ----------
+    t_s : (n,) timestamps [s]
+    off : (n,) phase less that of a line [rad]
+    """
+    uneven = np.diff(t_s, 2)
+    bent = np.diff(off, 2)
+    usual = np.abs(uneven - np.median(uneven)) < 8 * np.median(np.abs(uneven - np.median(uneven))) + 1e-9
+    kept = usual & (np.abs(bent) < 1.0)
+    x, y = uneven[kept], bent[kept]
+    power = float(x @ x)
+    if len(x) < 20 or power <= len(x) * _EVEN_S**2:
+        return 0.0, np.inf
+    slope = float(x @ y) / power
+    spread = float(np.sqrt(np.mean((y - slope * x) ** 2)))
+    return slope, spread * np.sqrt(3.0 / power)  # of second differences every third is new
+
+
+def missing_frames(step_s: float, index: Integers, t_s: Floats, phase: Floats) -> tuple[Integers, float]:
+    """Return how many frames are missing before each one, in a video whose timestamps merely count frames.
+
+    Where one is missing the phase makes two steps at once, where one is repeated none.
+
+    Parameters
+    ----------
+    step_s : from frame to frame, as the video states it [s]
+    index : (n,) numbers of the frames in the video
+    t_s : (n,) their timestamps [s]
+    phase : (n,) [rad], unwrapped
+
+    Returns
+    -------
+    missing : (n,) since the first
+    clearness : the usual step of the phase, in units of its noise
+    """
+    beside = np.diff(index) == 1
+    steps = np.maximum(np.rint(np.diff(t_s) / step_s), 1)
+    ahead = np.diff(phase)
+    usual = float(np.median(ahead[beside] / steps[beside]))
+    extra = np.where(beside, np.rint(ahead / usual) - steps, 0)
+    noise = 1.4826 * float(np.median(np.abs(ahead - usual * (steps + extra))[beside]))
+    return np.concatenate([[0], np.cumsum(extra)]).astype(np.int64), abs(usual) / max(noise, 1e-12)
+
+
+_LEFT_OUT_S = 2.0
+_HIDDEN_SHARE = 0.05
+_UNEVEN = 5e-4
+_FEW_TURNS = 8.0
+_SURELY = 3.0
+_LITTLE_DRIFT = 1e-4
+
+
+def rate_findings(found: "PlatterRate", missing: int, notes: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Return what was noticed.
+
+    Parameters
+    ----------
+    found : the result
+    missing : frames that are missing in a video whose timestamps merely count them
+    notes : on what could not be read
+    """
+    return (
+        *_of_video(notes, missing),
+        *_of_clock(found),
+        *_of_part(found),
+        *_of_evenness(found),
+        *_of_pattern(found),
+    )
+
+
+def _of_video(notes: tuple[str, ...], missing: int) -> Iterator[Finding]:
+    if notes:
+        yield make_finding("video-damaged", notes=" ".join(notes))
+    if missing:
+        yield make_finding("video-frames-missing", missing=missing)
+
+
+def _of_clock(found: "PlatterRate") -> Iterator[Finding]:
+    if found.clock < NOMINAL_CLOCK:
+        return
+    unchecked = "; frames may be missing, unnoticed" if found.clock >= UNCHECKED_CLOCK else ""
+    yield make_finding("video-nominal-times", frame_rate_hz=found.frame_rate_hz, unchecked=unchecked, clock=found.clock)
+
+
+def _of_part(found: "PlatterRate") -> Iterator[Finding]:
+    start, stop = found.steady_s
+    step = 1 / found.frame_rate_hz
+    if start + (found.duration_s - stop) > _LEFT_OUT_S:
+        yield make_finding("platter-steady-part", start=start, stop=stop, duration_s=found.duration_s)
+    hidden = 1 - found.frames_used * step / max(stop - start, step)
+    if hidden > _HIDDEN_SHARE:
+        yield make_finding("platter-hidden", hidden=hidden)
+    if found.turns < _FEW_TURNS:
+        yield make_finding("platter-few-turns", turns=found.turns)
+
+
+def _of_evenness(found: "PlatterRate") -> Iterator[Finding]:
+    rate = found.rate_rad_s
+    drift, sigma = found.drift_rad_s
+    drifts = abs(drift) > max(_SURELY * sigma, _LITTLE_DRIFT * rate)
+    own = max(found.sigma_rad_s**2 - (found.clock * rate) ** 2, 0.0) ** 0.5 / rate
+    if drifts:
+        yield make_finding(
+            "platter-drift", direction="rises" if drift > 0 else "falls", percent=100 * abs(drift) / rate
+        )
+    elif own > _UNEVEN:
+        yield make_finding("platter-uneven", own=own)
+    else:
+        yield make_finding("platter-even", own=own)
+
+
+def _of_pattern(found: "PlatterRate") -> Iterator[Finding]:
+    if found.per_turn > 1:
+        yield make_finding("platter-pattern", per_turn=found.per_turn)
+
 
 Complex = NDArray[np.complex128]
 

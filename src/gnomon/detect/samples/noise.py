@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 
 _PIECE_S = 0.05
 _PIECES = 5

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...recording import Floats, Integers, TriadSamples, smallest_steps
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _RARE = 0.01
 _BESIDE = 3  # samples on either side of a reading

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _WINDOW_S = 1.0
 _FEWEST = 16

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means
 from .static import runs_below, trim_intervals
 from .turning import RateMarks, mark_rates
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, smallest_steps
-from ...results.intervals import StaticIntervals
+from ...results.result import StaticIntervals
 
 _COARSE = 0.3  # variance from sample to sample, in squared steps; that of white noise of 0.46 of a step
 _REGULAR = 2.7  # fourth moment over squared variance: 3 for white noise, 1.5 for a tremor

@@ -8,7 +8,7 @@ that neither the unit nor an axis with more noise than the others matters.
 import numpy as np
 
 from ...recording import Floats, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 
 _CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
 

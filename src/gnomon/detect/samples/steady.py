@@ -10,7 +10,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals
+from ...results.result import Booleans, StaticIntervals
 
 BLOCK_S = 0.25
 _WINDOW = 8  # blocks, two seconds, over which the value is kept

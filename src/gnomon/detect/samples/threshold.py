@@ -15,7 +15,7 @@ from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2
 from .noise import resting_noise
 from .range_change import RangeChange, find_range_change

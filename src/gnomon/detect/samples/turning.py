@@ -11,7 +11,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 _BLOCK_S = 0.125
 _TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise, and room for a hand's tremor

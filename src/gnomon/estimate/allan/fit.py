@@ -25,7 +25,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...solve.nonnegative import solve_nonnegative
 from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 

@@ -7,7 +7,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, KnownRig
 from .parameters import RigParameters
-from .terms.board import OFFSETS
+from .terms.board_terms import OFFSETS
 
 
 @value_class(eq=True)

@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix, right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers
 from .blocks import parameter_blocks, sensor_priors
 from .parameters import CameraParameters, ImuParameters, RigParameters
-from .terms.board import OFFSETS
+from .terms.board_terms import OFFSETS
 
 Status = Literal["estimated", "prior", "fixed"]
 

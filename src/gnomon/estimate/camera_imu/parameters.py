@@ -5,12 +5,12 @@ from dataclasses import field, replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import tangent_basis
+from ...geometry.rotation_vector import tangent_basis
 from ...models.camera import Camera
-from ...models.origin import Origin
+from ...models.frames import Origin
 from ...models.pattern import DIAGONAL, LOWER
 from ...recording import Floats, KnownRig
-from .terms.board import BoardPoints
+from .terms.board_terms import BoardPoints
 
 
 @value_class

@@ -11,8 +11,7 @@ the rotation between two cameras hang together closely: a principal point that i
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import right_jacobian, rotvec_from_rotation
-from ...geometry.so3 import invert_matrix, skew
+from ...geometry.rotation_vector import invert_matrix, right_jacobian, rotvec_from_rotation, skew
 from ...recording import Floats, KnownRig
 from .blocks import lenses_of
 from .layout import BorderLayout

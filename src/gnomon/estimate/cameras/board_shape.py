@@ -4,7 +4,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.terms.board import BoardPoints
+from ..camera_imu.terms.board_terms import BoardPoints
 from .rig import BoardShape
 
 ASPECT, BOW, OFFSETS = "target.aspect", "target.bow", "target.offsets"

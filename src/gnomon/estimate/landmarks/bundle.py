@@ -10,8 +10,7 @@ import numpy as np
 from scipy.sparse import bsr_array  # pyright: ignore[reportUnknownVariableType]
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import rotation_from_rotvec, skew
 from ...models.camera import Camera
 from ...recording import Floats, Integers
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .magnitude import fit_magnitude
 from .problem import MultiPositionProblem
 from .rotations import integrate_rates

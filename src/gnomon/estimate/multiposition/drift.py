@@ -10,9 +10,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .model import BiasFunctions, MultiPositionData
 
 _MOST_KNOTS = 30

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...errors import InitialisationError, SolveError
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from ...units import STANDARD_GRAVITY_M_S2
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes

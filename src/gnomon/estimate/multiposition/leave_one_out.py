@@ -7,9 +7,9 @@ the step needs is at hand; nothing is fitted again.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix, tangent_basis
+from ...geometry.rotation_vector import invert_matrix, tangent_basis
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from .fit import MultiPositionFit
 from .model import (

@@ -17,7 +17,7 @@ is then that of one segment). What an accelerometer's bias does matters at rest 
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import skew, tangent_basis
+from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats
 from ...solve.arrow import ArrowSystem
 from .bias_changes import RestMeans

@@ -9,9 +9,9 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...solve.arrow import ArrowSolution
 from .model import MultiPositionData, MultiPositionLinearization, MultiPositionState, Whitening
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans, StaticIntervals, interval_means, split_long
+from ...results.result import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
 from .model import MultiPositionData
 from .rotations import MotionSegments, cut_segments, segments_between

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.so3 import invert_matrix
-from ...results.intervals import Booleans
+from ...geometry.rotation_vector import invert_matrix
+from ...results.result import Booleans
 from .model import MultiPositionData, MultiPositionState
 from .noise_levels import rotation_variance
 from .rotations import MotionSegments, integrate_rates

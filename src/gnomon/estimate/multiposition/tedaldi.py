@@ -10,9 +10,9 @@ import numpy as np
 
 from ...errors import SolveError
 from ...frozen import value_class
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import skew
 from ...recording import Floats
-from ...results.intervals import StaticIntervals, interval_means
+from ...results.result import StaticIntervals, interval_means
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from .magnitude import MagnitudeFit, fit_magnitude
 from .rotations import MotionSegments, integrate_rates, linear_start, propagate_directions

@@ -13,10 +13,9 @@ otherwise.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
-from ...geometry.so3 import nearest_rotation, skew
+from ...geometry.rotation_vector import nearest_rotation, rotation_from_rotvec, skew
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .blocks import Stage
 
 _SAMPLE = 400  # in which the start is sought

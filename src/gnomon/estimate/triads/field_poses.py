@@ -9,9 +9,9 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .triad_start import Ellipsoid, constrained_ellipsoid, general_ellipsoid
 
 _ANGLES_RAD = np.radians(2.0), np.radians(8.0)  # least and most in one mean

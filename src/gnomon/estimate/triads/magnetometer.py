@@ -11,9 +11,9 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .blocks import Stage, TimeBlocks, block_covariance, by_direction, leave_blocks_out, memory_s
 from .field_poses import FieldPoses
 from .triad import fit_triad

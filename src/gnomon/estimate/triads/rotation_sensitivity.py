@@ -16,9 +16,9 @@ vertical gravity shows no angle.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix, skew, tangent_basis
+from ...geometry.rotation_vector import invert_matrix, skew, tangent_basis
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ..multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
 
 _ROUNDS = 15

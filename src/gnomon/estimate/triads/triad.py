@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadProblem, known_magnitudes, true_vectors
 from .triad_scaling import TriadScaling, scaled_problem, weak_sigma, with_weak_prior

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
 
 _LEVEL_STEPS = 20

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from ...errors import OptionError
 from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 PARAMETERS = 21
 S_, B_, G_ = slice(0, 9), slice(9, 12), slice(12, 21)

@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_matrix
+from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_
 
 _FOOT_STEPS = 2

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadProblem
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from .triad_rows import TriadNoiseLevels, TriadProblem, TriadResiduals, noise_at, triad_residuals
 

@@ -34,9 +34,9 @@ from itertools import pairwise
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import skew
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from .clusters import ClusterSums
 

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...results.trust import Clusters, SigmaRatio, Splits, Trust
 from .changes import parameter_changes
-from .clusters import ClusterSums
+from .clusters import ClusterSums, Robust, correlation_time, group_into_clusters, robust_variances
 from .parts import Split, part_agreement, part_differences
-from .robust import Robust, correlation_time, group_into_clusters, robust_variances
 
 _FEWEST_IN_PART = 5  # stretches
 _NTH = {2: ("first", "second"), 3: ("first", "middle", "last")}

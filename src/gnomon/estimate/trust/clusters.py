@@ -9,8 +9,17 @@ prior's sum up to zero. Left out, a cluster moves the estimate by
 and with n clusters longer than the residuals' memory the covariance is (n - 1) / n sum d_c d_c', however the residuals
 within a cluster are correlated. A part of a recording has the estimate that its own clusters pull to, and a smaller
 model that of its own parameters: halves, thirds and submodels cost no further solution.
+
+Sigmas that hold where residuals are correlated, also from a few dozen clusters.
+
+The jackknife of `clusters.py` is right for many clusters and few parameters. With as few clusters as a recording of
+forty static intervals has, its variances scatter, and they are too large where a cluster determines much of its own
+residual. Both are known for independent errors from the information alone: the expectation E of each variance V, and
+how many degrees of freedom V has. So V / E is how much more than independent errors the recording shows, and it is
+shrunk by what others show: to that of its block of parameters, and that one to 1.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -148,3 +157,142 @@ def _scaled(matrix: Floats) -> tuple[Floats, Floats]:
 
 def _outer(size: Floats) -> Floats:
     return size[..., :, None] * size[..., None, :]
+
+
+_BLOCK_COUNTS = 12.0  # degrees of freedom that the other parameters of a block count as
+_ONE_COUNTS = 4.0  # and that independence counts as
+_LEAST = 1.0  # factor of a variance: clusters never make sigmas smaller
+_CORRELATIONS_COUNT = 3.0  # clusters for each scalar from which the jackknife's correlations count half
+_FEWEST = 12  # clusters that are not made fewer
+_MOST_MEMORY = 4  # stretches
+_CORRELATED = 0.1, 1.5  # correlation that counts as some, and in units of its own sigma
+
+
+@value_class
+class Robust:
+    """How the variances of m scalars compare with those for independent errors.
+
+    Attributes
+    ----------
+    factor : (m,) of the part of each variance that comes from the recording's errors
+    from_errors : (m, m) covariance by these errors where they are independent
+    from_prior : (m, m) covariance by the errors of what was known beforehand
+    correlation : (m, m) of the jackknife
+    clusters : their number
+    """
+
+    factor: Floats
+    from_errors: Floats
+    from_prior: Floats
+    correlation: Floats
+    clusters: int
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (m, m); what was known beforehand counts as it was stated.
+
+        Few clusters tell correlations of many parameters badly: the fewer, the more those of independent errors count.
+        """
+        share = self.clusters / (self.clusters + _CORRELATIONS_COUNT * len(self.factor))
+        own, root = np.sqrt(np.maximum(np.diag(self.from_errors), 0.0)), np.sqrt(self.factor)  # zero but for rounding
+        blended = (1 - share) * self.from_errors + share * self.correlation * np.outer(own, own)
+        return blended * np.outer(root, root) + self.from_prior
+
+
+def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
+    """Return by how much the variances of scalars are larger than for independent errors.
+
+    Parameters
+    ----------
+    phases : sums of clusters; the same stretches of time cut with other borders
+    jacobian : (m, p) of the scalars by the parameters of the sums
+    block : (m,) number of the block of parameters that a scalar belongs to
+    """
+    found = [_jackknife(sums, jacobian) for sums in phases]
+    shown, expected, freedom = (np.mean([one[k] for one in found], axis=0) for k in range(3))
+    variance = np.diag(shown)
+    told = expected > 0
+    total, prior = phases[0].total, phases[0].prior_information
+    gain = jacobian @ whole_estimate(phases[0])[1]
+    size = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = shown / np.outer(size, size)
+    np.fill_diagonal(correlation, 1.0)
+    return Robust(
+        factor=_shrunk(np.where(told, variance / np.where(told, expected, 1.0), 1.0), told * freedom, block),
+        from_errors=gain @ (total - prior) @ gain.T,
+        from_prior=gain @ prior @ gain.T,
+        correlation=correlation,
+        clusters=round(float(np.mean([len(sums) for sums in phases]))),
+    )
+
+
+def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the jackknife's covariance (m, m) without the prior's share, and what it is for independent errors.
+
+    The latter are the expectation of its variances and their degrees of freedom, (m,) each.
+    """
+    total = sums.total
+    size = 1 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+    information = sums.information * np.outer(size, size)
+    total = total * np.outer(size, size)
+    arms = (jacobian * size) @ np.linalg.inv(total - information)  # (c, m, p): what a pull of each cluster moves
+    moves = np.einsum("cmp,cp->cm", arms, sums.pull * size)
+    seen = arms @ information
+    # At the estimate a cluster pulls as its errors do, less its share of what all errors pull together.
+    own = np.einsum("cmp,cmp->mc", seen, arms)
+    # The covariance of the pulls, diag(own) - shared T shared', is never made: it is as large as the clusters squared.
+    shared, inverse = np.swapaxes(seen, 0, 1), np.linalg.inv(total)  # (m, c, p)
+    weighed = shared @ inverse
+    less = np.einsum("mcp,mcp->mc", weighed, shared)
+    inner = np.swapaxes(shared, 1, 2) @ weighed  # (m, p, p)
+    apart = np.einsum("mpq,mqp->m", inner, inner) - np.sum(less**2, axis=1)  # squares off the diagonal
+    expected = np.sum(own - less, axis=1)
+    spread = np.sum((own - less) ** 2, axis=1) + np.maximum(apart, 0.0)
+    return moves.T @ moves, expected, expected**2 / np.where(spread > 0, spread, 1.0)
+
+
+def _shrunk(raw: Floats, freedom: Floats, block: Integers) -> Floats:
+    """Return factors (m,) of variances, each drawn to that of its block, and this one to 1."""
+    _, which = np.unique(block, return_inverse=True)
+    total = np.bincount(which, freedom)
+    mean = np.bincount(which, freedom * raw) / np.where(total > 0, total, 1.0)
+    # Scalars of a block share residuals: together they have fewer degrees of freedom than one by one.
+    total = total / np.sqrt(np.maximum(np.bincount(which, freedom > 0), 1))
+    of_block = ((total * mean + _ONE_COUNTS) / (total + _ONE_COUNTS))[which]
+    return np.asarray(np.maximum((freedom * raw + _BLOCK_COUNTS * of_block) / (freedom + _BLOCK_COUNTS), _LEAST))
+
+
+def correlation_time(sums: ClusterSums, jacobian: Floats, block: Integers) -> int:
+    """Return over how many stretches of time errors are correlated, by what each stretch moves in a block of scalars.
+
+    Parameters
+    ----------
+    sums : of single stretches
+    jacobian, block : as in `robust_variances`
+    """
+    moves = leave_clusters_out(sums) @ jacobian.T
+    size = np.linalg.norm(moves, axis=0)
+    moves = moves / np.where(size > 0, size, 1.0)
+    longest = 0
+    for number in np.unique(block):
+        own = moves[:, (block == number) & (size > 0)]
+        least = max(_CORRELATED[0], _CORRELATED[1] / np.sqrt(max(own.size, 1)))
+        for lag in range(1, min(_MOST_MEMORY, len(own) - 2) + 1):
+            if not own.size or float(np.mean(np.sum(own[lag:] * own[:-lag], axis=0))) < least:
+                break
+            longest = max(longest, lag)
+    return longest
+
+
+def group_into_clusters(sums: ClusterSums, memory: int) -> tuple[list[ClusterSums], int]:
+    """Return sums of clusters that outlast the memory, cut with two sets of borders, and how many stretches they have.
+
+    Parameters
+    ----------
+    sums : of single stretches
+    memory : over how many of them errors are correlated
+    """
+    length = max(min(1 + 2 * memory, len(sums) // _FEWEST), 1)
+    number = np.arange(len(sums))
+    shifts = [0] if length == 1 else [0, length // 2]
+    return [sums.gathered((number + shift) // length) for shift in shifts], length

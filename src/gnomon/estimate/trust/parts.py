@@ -12,10 +12,9 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...results.trust import BlockAgreement, Splits
-from .clusters import ClusterSums, part_estimates
-from .robust import Robust
+from .clusters import ClusterSums, Robust, part_estimates
 
 _CHANCE_SIGMA = 2.326  # of a normal deviate that one of a hundred exceeds
 _ROUNDING_ERRORS = 100.0  # that a variance must be above; it is as a rule above 1e4 of them, or below one

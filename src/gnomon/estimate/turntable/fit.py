@@ -13,13 +13,12 @@ import numpy as np
 from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.cluster_trust import RobustCovariance
 from .axis import AxisInSensor
-from .drift import drift_at, shown_density
-from .parts import TurntableData
+from .parts import TurntableData, drift_at, shown_density
 
 Sense = Literal["clockwise", "counterclockwise"]
 

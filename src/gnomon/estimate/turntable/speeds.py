@@ -5,7 +5,7 @@ import numpy as np
 from ...errors import DetectionError
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 
 NO_SPEED = -1
 _AT_REST = 0.25  # of the slowest speed; less is no turning

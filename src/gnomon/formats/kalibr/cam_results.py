@@ -22,7 +22,7 @@ from ...results.calibration import Calibration
 from ...results.camera_diagnostics import CamerasDiagnostics
 from ...results.result import Result
 from ..shared.baselines import baseline_of
-from ..shared.lenses import without_k3
+from ..shared.lens_refit import without_k3
 from ..shared.losses import Context, file_remarks
 from ..shared.structured import read_structured_text
 from .camchain import LENS_FILE, CameraInput, lens_chain_text, read_camchain

@@ -24,7 +24,7 @@ from ..shared.foreign_yaml import (
     unwrap_rows,
     whole_number,
 )
-from ..shared.lenses import cameras_without_k3, k3_losses
+from ..shared.lens_refit import cameras_without_k3, k3_losses
 from ..shared.structured import Node
 from ..shared.yaml_text import kalibr_yaml
 

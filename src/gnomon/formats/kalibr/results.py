@@ -27,7 +27,7 @@ from ...results.calibration import (
 from ..foreign import ForeignCalibration, ForeignImu, Residuals, Statistics, ideal_imu, recognised_frame
 from ..shared.baselines import inverse_pose
 from ..shared.foreign_yaml import read_rotation, read_transform
-from ..shared.lenses import without_k3
+from ..shared.lens_refit import without_k3
 from ..shared.losses import StatedImu
 from ..shared.structured import Node, read_structured_text
 from .camchain import camera_baseline, camera_of

@@ -13,8 +13,8 @@ from ...errors import OptionError
 from ...findings import Finding
 from ...models.camera import Camera
 from ...models.forms import in_frame
+from ...models.frames import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...models.lens_names import DistortionName, ProjectionName
-from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...recording import Floats, Source
 from ...results.calibration import (
     UNSTATED_GRAVITY,

@@ -24,7 +24,7 @@ from ...results.calibration import (
     calibration_parameters,
     element_names,
 )
-from ...results.parameter_units import element_units
+from ...results.parameters import element_units
 from ...results.sensors import HIGHEST_ORDER, TEMPERATURE_PARTS, TemperatureDependence
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..foreign import ForeignCalibration, recognised_frame

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import skew
 from ...recording import Floats
 from ...results.calibration import Calibration
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import FormatError, OptionError
 from ...frozen import value_class
-from ...models.diagonal_forms import DiagonalTriad
+from ...models.project_forms import DiagonalTriad
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, recognised_frame

@@ -13,10 +13,9 @@ from ...errors import OptionError
 from ...findings import join_names
 from ...frozen import value_class
 from ...models.camera import Camera
-from ...models.frames import Floats, frame_rotation
-from ...models.lens_programs import PROGRAMS, knows_lens
+from ...models.frames import AXES, Floats, frame_rotation
+from ...models.lens_names import PROGRAMS, knows_lens
 from ...models.noise import ImuNoise
-from ...models.origin import AXES
 from ...results.calibration import Calibration, ImuCalibration, calibration_parameters, element_names
 from ...units import STANDARD_GRAVITY_M_S2
 from ..foreign import FOREIGN_METHOD

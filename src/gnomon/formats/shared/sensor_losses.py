@@ -13,7 +13,7 @@ from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
 from ...results.sensors import TemperatureDependence
 from ...units import STANDARD_GRAVITY_M_S2
-from .lenses import k3_losses
+from .lens_refit import k3_losses
 from .losses import (
     Context,
     Loss,

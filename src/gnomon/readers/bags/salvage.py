@@ -17,8 +17,7 @@ from typing import BinaryIO, NamedTuple
 
 from ...errors import RecordingError
 from ...frozen import value_class
-from .messages import Wire
-from .unpacking import unpack_bytes
+from .messages import Wire, unpack_bytes
 
 ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ROS1_MESSAGE, _ROS1_HEADER, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 3, 5, 7

@@ -11,7 +11,7 @@ from ...errors import FormatError, RecordingError
 from ...formats.shared.structured import parse_yaml, read_structured_text
 from ...frozen import value_class
 from ..files import first_bytes
-from .messages import Wire
+from .messages import Wire, bound_rosbags
 from .salvage import (
     MCAP_MAGIC,
     ROS1_MAGIC,
@@ -24,7 +24,6 @@ from .salvage import (
     read_records,
     unpack_zstd,
 )
-from .unpacking import bound_rosbags
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
-from ...recording.images import Arrivals
+from ...recording.frames import Arrivals
 from ..images.image_pixels import (
     bit_depth,
     check_compression,

@@ -10,8 +10,16 @@ from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
 from ...recording import Source
-from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text_file
-from ..zips import ZIP_DAMAGE, refuse_zip_bomb
+from ..files import (
+    NPZ_MAGIC,
+    ZIP_DAMAGE,
+    TextFile,
+    file_source,
+    first_bytes,
+    plain_text,
+    read_text_file,
+    refuse_zip_bomb,
+)
 
 _MOST_MEMBERS = 10_000
 _TABLES = (".csv", ".txt", ".tsv")

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...errors import RecordingError
-from ..samples.column_help import HELP
+from ..samples.recognise import HELP
 from ..samples.table import read_temperature_table
 from .device_log import DeviceLog
 from .phone_files import LogFiles, log_files, zipfile_at

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...frozen import value_class
 from ...recording import Integers, Source, frozen_array
-from ...recording.images import Frame, ImageStream
+from ...recording.frames import Frame, ImageStream
 from ..recordings import ReadLog
 from .frame_stamps import (
     FrameTable,
@@ -23,8 +23,7 @@ from .frame_stamps import (
     stamps_in_names,
     stem_of,
 )
-from .image_file import hash_of_images, is_image_name, read_grey, used_bits
-from .video_kind import is_video
+from .image_file import hash_of_images, is_image_name, is_video, read_grey, used_bits
 
 _CAMERA = re.compile(r"(?:cam(?:era)?|image)[-_]?0*(\d+)", re.IGNORECASE)
 _OF_A_CAMERA = re.compile(r"(cam\d+(?=[-_])|left|right)", re.IGNORECASE)

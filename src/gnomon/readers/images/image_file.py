@@ -1,4 +1,7 @@
-"""One image as a file -> 8 bits of grey, and the hash of a folder of them."""
+"""One image as a file -> 8 bits of grey, and the hash of a folder of them.
+
+Whether a file is a video, by its content: most files are none by their first bytes, without PyAV being loaded.
+"""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -7,8 +10,41 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ...formats.shared.structured import refuse_special
-from ...recording.images import Grey
+from ...recording.frames import Grey
+from ..files import is_mp4_head
 from .image_pixels import bit_depth, decode_picture, largest_in_picture
+
+_HEAD = 4096
+_TEXT_MAGIC = b"YUV4MPEG2"  # the only video that begins as text
+_NO_VIDEO = (b"\x1f\x8b", b"PK\x03\x04", b"#ROSBAG", b"\x89MCAP", b"SQLite format 3", b"\x93NUMPY", b"%PDF")
+_IMAGES = ("image2", "_pipe")
+
+
+def is_video(path: Path) -> bool:
+    """Tell by its content whether a file is a video."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return False
+    text = b"\0" not in head and not head.startswith(_TEXT_MAGIC)
+    if text or head.startswith(_NO_VIDEO):
+        return False
+    return is_mp4_head(head) or _opens_as_video(path)
+
+
+def _opens_as_video(path: Path) -> bool:
+    import av  # takes its time
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(path)) as container:
+            return bool(container.streams.video) and not container.format.name.endswith(_IMAGES)
+    except (FFmpegError, OSError, ValueError):
+        return False
+
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 _HASHING = 2  # threads: reading and hashing overlap, and more of them would only fight for the disk

@@ -18,7 +18,7 @@ from ...errors import RecordingError
 from ...frozen import value_class
 from ...kernel import load_kernel
 from ...kernel.library import undo_png_filters
-from ...recording.images import Grey
+from ...recording.frames import Grey
 
 Buffer = bytes | memoryview
 

@@ -8,21 +8,19 @@ from types import MappingProxyType
 
 from ...errors import OptionError, RecordingError
 from ...recording import ImuSamples
-from ...recording.images import ImageRecording, ImageStream
+from ...recording.frames import ImageRecording, ImageStream
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
 from ..recordings import ReadLog
 from ..rig.camera_folder import EXPECTED as EXPECTED_IMU
+from ..rig.camera_folder import SensorInput, T_sensor_imu, holds_corners, imu_tables, imu_tables_beside, read_sensor
 from ..rig.camera_folder import folder_holds_imu as corners_with_imu
-from ..rig.camera_folder import holds_corners, imu_tables, imu_tables_beside
 from ..rig.imu_stream import read_imu
-from ..rig.sensor_yaml import SensorInput, T_sensor_imu, read_sensor
 from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
 from .frame_stamps import numbers_in_names
-from .image_file import is_image_name
-from .video_kind import is_video
+from .image_file import is_image_name, is_video
 
 _PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"Rar!")
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})

@@ -11,8 +11,7 @@ from ...formats.kalibr.imu import ImuInput
 from ...recording import ImuSamples, Source, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..recordings import read_recognising
-from ..samples.column_help import HELP, TRIAL
-from ..samples.recognise import IN_MOTION
+from ..samples.recognise import HELP, IN_MOTION, TRIAL
 from ..samples.stamps import stray_timestamp
 from ..samples.table import RATE_HELP
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from ...errors import OptionError, RecordingError
 from ...frozen import value_class
-from .column_help import column_counts, columns_help
+from .recognise import column_counts, columns_help
 from .text_table import TextLayout, column_rises, is_number
 
 Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "temperature", "unnamed", "other"]

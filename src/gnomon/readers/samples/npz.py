@@ -33,7 +33,7 @@ from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
 from ...recording import Floats, Integers, TemperatureSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
-from ..zips import ZIP_DAMAGE, refuse_false_arrays
+from ..files import ZIP_DAMAGE, refuse_false_arrays
 from .column_names import column_name
 from .stamps import guess_time_unit, to_ns
 from .table import SampleTable, Triad, temperature_samples, uniform_stamps

@@ -19,7 +19,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...frozen import value_class
 from ...recording import Floats, Poses, Recording
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS_NS, Units
 from ..files import TextFile
 from .column_names import column_name, unit_of

@@ -15,10 +15,10 @@ from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
 from ...recording import TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
+from ..files import ZIP_DAMAGE, array_header, refuse_false_arrays
 from .npz import SensorArray, sensor_arrays
-from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .stamps import guess_time_unit, to_ns
+from .stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .table import uniform_stamps
 
 _UNITS = {

@@ -20,8 +20,8 @@ from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_
 from ..recordings import inertial_streams, without_magnetometer
 from .column_names import Roles, column_roles
 from .printed_lines import PRINTED_HEAD_BYTES, LineRewriter, printed_form
-from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
+from .stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .table import Triad, preamble_rate, read_table, uniform_stamps
 from .text_table import Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
 

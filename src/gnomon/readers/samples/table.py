@@ -11,9 +11,9 @@ from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples
 from ...units import Units
 from ..files import TextFile
-from .column_help import HELP, columns_help, time_help
 from .column_names import Roles, column_name, column_roles, time_columns, unit_of
 from .printed_lines import lines_as_table
+from .recognise import HELP, columns_help, time_help
 from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
 

@@ -10,9 +10,8 @@ from ...recording import ImuSamples, Recording, TriadSamples
 from ...units import Units
 from ..files import NPZ_MAGIC, first_bytes, read_text_file
 from ..recordings import read_recognising, without_magnetometer
-from .folder import accelerometer_and_gyroscope, known_layout, recording_files, sample_files
-from .pose_files import pose_files
 from .recognise import WITH_RESTS
+from .several_files import accelerometer_and_gyroscope, known_layout, pose_files, recording_files, sample_files
 from .table import RATE_HELP, read_table
 
 

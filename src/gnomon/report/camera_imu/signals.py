@@ -6,7 +6,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.quaternion import rotation_from_quaternion
-from ...geometry.so3 import tangent_basis
+from ...geometry.rotation_vector import tangent_basis
 from ...recording import Floats, Integers
 from ...results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
 from ..corner_figures import TIMES, time_spans

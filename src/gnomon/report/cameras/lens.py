@@ -12,7 +12,7 @@ import numpy as np
 
 from ...assess.cameras.cameras_tables import CELLS
 from ...frozen import value_class
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import skew
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Calibration

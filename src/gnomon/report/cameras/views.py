@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
-from ...geometry.so3 import skew
+from ...geometry.rotation_vector import rotation_from_rotvec, skew
 from ...models.camera import Camera
 from ...recording import Floats, Integers
 from ...results.calibration import Calibration

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...results.imu_diagnostics import ImuDiagnostics
-from ...results.triad_diagnostics import TriadDiagnostics, TriadRecord
+from ...results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics, TriadRecord
 from ..numbers import (
     finite_values,
     magnitude_text,

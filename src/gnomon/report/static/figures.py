@@ -4,15 +4,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...recording import Floats, Integers
-from ...results.imu_diagnostics import (
+from ...results.sensor_diagnostics import (
     AllanCurve,
     DetectorTrace,
+    DipTable,
+    GyroscopeAtRest,
     ImuDiagnostics,
     IntervalTable,
+    IterationHistory,
+    PeriodCurve,
+    PoseTable,
     RotationTable,
     SignalEnvelope,
 )
-from ...results.triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve, PoseTable
 from ..drawing import svg
 from ..drawing.figures import (
     AXES,

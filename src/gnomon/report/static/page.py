@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from math import degrees
 
 from ...results.calibration import Calibration
-from ...results.imu_diagnostics import ImuDiagnostics
 from ...results.result import JoinedDiagnostics
-from ...results.triad_diagnostics import TriadDiagnostics
+from ...results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
 from ...units import STANDARD_GRAVITY_M_S2
 from ..imu_parameters import parameter_groups
 from ..numbers import (

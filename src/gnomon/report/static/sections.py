@@ -7,8 +7,14 @@ import numpy as np
 
 from ...recording import Floats
 from ...results.calibration import Calibration
-from ...results.imu_diagnostics import ImuDiagnostics, IntervalTable, RotationTable
-from ...results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
+from ...results.sensor_diagnostics import (
+    ImuDiagnostics,
+    IntervalTable,
+    PoseTable,
+    RotationTable,
+    TriadDiagnostics,
+    TriadRecord,
+)
 from ...units import STANDARD_GRAVITY_M_S2
 from ..numbers import (
     MISSING,

@@ -4,7 +4,7 @@ from math import degrees, isfinite, pi
 
 import numpy as np
 
-from ...results.triad_diagnostics import TriadDiagnostics
+from ...results.sensor_diagnostics import TriadDiagnostics
 from ..numbers import (
     MISSING,
     estimate_text,

@@ -1,8 +1,7 @@
 """What each triad of one sensor measured many times, as the sections of its report need it."""
 
 from ...frozen import value_class
-from ...results.imu_diagnostics import ImuDiagnostics, IntervalTable
-from ...results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
+from ...results.sensor_diagnostics import ImuDiagnostics, IntervalTable, PoseTable, TriadDiagnostics, TriadRecord
 
 COUNTED = {
     "imu": ("static interval", "static intervals"),

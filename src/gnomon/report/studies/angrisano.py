@@ -5,7 +5,7 @@ from math import degrees
 import numpy as np
 
 from ...recording import Floats
-from ...results.intervals import Booleans
+from ...results.result import Booleans
 from ...study.angrisano import NAMES, AngrisanoSample, AngrisanoStudy, angrisano_claims, angrisano_group_rms
 from ...study.angrisano_trial import GROUPS, TABLE_2, TRUTH, Basin, Journey
 from ..drawing import svg

@@ -3,8 +3,7 @@
 import numpy as np
 
 from ...options.requirements import QUANTITIES as KNOWN
-from ...study.circuit import SIZES, CircuitStudy
-from ...study.circuit_claims import CONFIDENCE, circuit_claims, joint_costs, level_numbers
+from ...study.circuit import CONFIDENCE, SIZES, CircuitStudy, circuit_claims, joint_costs, level_numbers
 from ...study.circuit_rig import QUANTITIES
 from ...study.circuit_walk import MEASURES, SCENARIO, WAYS
 from ..drawing.figures import LEFT, RIGHT, WIDTH, Sheet, draw_dots, log_limits

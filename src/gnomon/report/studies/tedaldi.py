@@ -3,8 +3,7 @@
 import numpy as np
 
 from ...recording import Floats
-from ...study.tedaldi import TedaldiStudy, known_mean
-from ...study.tedaldi_claims import (
+from ...study.tedaldi import (
     DIVERGENCE,
     GROUPS,
     MEAN_ERROR,
@@ -12,7 +11,9 @@ from ...study.tedaldi_claims import (
     ROTATION,
     SIGNAL_ERROR,
     SPREAD,
+    TedaldiStudy,
     group_errors,
+    known_mean,
     noise_alone,
     sigma_over_scatter,
     tedaldi_claims,

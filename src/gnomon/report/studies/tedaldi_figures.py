@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...recording import Floats
-from ...study.tedaldi import Example, TedaldiStudy
-from ...study.tedaldi_claims import GROUPS
+from ...study.tedaldi import GROUPS, Example, TedaldiStudy
 from ...study.tedaldi_trial import METHODS
 from ..drawing.figures import Plot, Sheet, draw_dots, draw_envelope, log_limits, set_y_limits
 from ..page import Figure, Legend

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...study.temperature import METHODS, TemperatureStudy
-from ...study.temperature_claims import temperature_claims
+from ...study.temperature import METHODS, TemperatureStudy, temperature_claims
 from ..drawing.figures import Sheet, log_limits
 from ..numbers import number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section

@@ -12,7 +12,7 @@ from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
 from ...recording import Floats
-from ...recording.images import Frame, Grey, ImageRecording, ImageStream
+from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
 from ..cameras import CamerasSimulation
 from .board_outlines import TrueBoard

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
-from ...recording.images import Frame, Grey, ImageStream
+from ...recording.frames import Frame, Grey, ImageStream
 from ..scenarios.platter import PlatterScenario
 
 Shades = NDArray[np.float32]

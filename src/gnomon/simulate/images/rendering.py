@@ -14,8 +14,8 @@ from ...frozen import value_class
 from ...models.board_pattern import BoardPattern
 from ...models.camera import Booleans, Camera
 from ...recording import Floats
-from ...recording.images import Grey
-from ..seen_board import RenderedImages
+from ...recording.frames import Grey
+from ..scenarios.cameras import RenderedImages
 from .board_outlines import Outline, Singles, TrueBoard, outline_of, pixel_coverage
 from .clutter import Wall
 from .motion_segments import InstantPoses, MotionSegment, Movement, Pose

@@ -18,9 +18,9 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.camera import Camera
 from ...recording import Floats
-from ...recording.images import Frame, Grey, ImageRecording, ImageStream
+from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
-from ..scenarios.room import RoomScenario, Surface
+from ..scenarios.camera_imu import RoomScenario, Surface
 from .board_images import ViewsOnPath
 from .board_outlines import Singles
 from .motion_segments import MotionSegment, Pose

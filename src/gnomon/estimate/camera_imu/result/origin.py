@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.so3 import skew
-from ....models.origin import EVEN_WEIGHTS, Origin
+from ....geometry.rotation_vector import skew
+from ....models.frames import EVEN_WEIGHTS, Origin
 from ....recording import Floats
 from ..layout import BorderLayout
 from ..parameters import ImuParameters, RigParameters

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.so3 import skew
+from ....geometry.rotation_vector import skew
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration

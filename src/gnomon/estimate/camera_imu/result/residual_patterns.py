@@ -12,7 +12,7 @@ import numpy as np
 from ....frozen import value_class
 from ....recording import Floats, Integers
 from ..solution import Solution
-from ..terms.board import BoardPoints
+from ..terms.board_terms import BoardPoints
 from ..terms.corner_sums import exposure_chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases

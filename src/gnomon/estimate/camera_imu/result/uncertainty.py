@@ -16,8 +16,14 @@ import numpy as np
 from ....frozen import value_class
 from ....recording import Floats, Integers
 from ....results.trust import Clusters
-from ...trust.clusters import ClusterSums, leave_clusters_out, whole_estimate
-from ...trust.robust import Robust, correlation_time, group_into_clusters
+from ...trust.clusters import (
+    ClusterSums,
+    Robust,
+    correlation_time,
+    group_into_clusters,
+    leave_clusters_out,
+    whole_estimate,
+)
 from ..batch import mean_weights
 from ..gauss_newton import GaussNewtonStep
 from ..layout import BorderLayout

@@ -10,7 +10,7 @@ with f averaged as the second difference averages; the delay that leaves least i
 
 import numpy as np
 
-from ....geometry.rigid_body import acceleration_by_place
+from ....geometry.rotation_vector import acceleration_by_place
 from .alignment import Alignment
 from .board_poses import BoardPoses
 from .camera_acceleration import averaged_derivative, averaged_readings, camera_accelerations

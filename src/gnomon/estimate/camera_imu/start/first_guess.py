@@ -11,7 +11,7 @@ import numpy as np
 from ....errors import InitialisationError, OptionError
 from ....frozen import value_class
 from ....geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ....models.origin import Origin
+from ....models.frames import Origin
 from ....models.target import Target
 from ....options import CameraImuOptions
 from ....recording import CameraFrames, Floats
@@ -19,7 +19,7 @@ from ..batch import RigState
 from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status
 from ..parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
-from ..terms.board import BoardPoints
+from ..terms.board_terms import BoardPoints
 from ..terms.corner_sums import Exposures
 from ..terms.inertial_data import InertialData
 from .alignment import Alignment, align_camera, gyroscope_integral

@@ -11,7 +11,7 @@ where the rig is shaken, readings are wrong by thousands of their sigmas.
 
 import numpy as np
 
-from ....geometry.so3 import skew
+from ....geometry.rotation_vector import skew
 from ....recording import Floats
 from .alignment import Alignment
 from .board_poses import BoardPoses

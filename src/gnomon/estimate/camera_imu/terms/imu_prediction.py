@@ -11,8 +11,7 @@ Turning the pose by a small rotation d on the right changes each of R omega, R a
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rigid_body import acceleration_by_place, along_axes
-from ....geometry.so3 import skew
+from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
 from ....recording import Floats
 from ..parameters import ImuParameters, RigParameters
 from ..trajectory import Bases, MotionState, Places, Trajectory

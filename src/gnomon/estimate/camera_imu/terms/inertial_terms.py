@@ -21,8 +21,7 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
-from ....geometry.rigid_body import acceleration_by_place, along_axes
-from ....geometry.so3 import skew
+from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
 from ....kernel import library
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers

@@ -17,14 +17,13 @@ from itertools import pairwise
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.so3 import skew
+from ....geometry.rotation_vector import skew
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
 from ..parameters import CameraParameters, RigParameters
 from ..trajectory import POSE, Bases, MotionState, Trajectory
 from .assembly import Columns
-from .board import OFFSETS
-from .board_terms import CornerProducts, Coupling, exposure_corners, multiply_blocks, spread_out
+from .board_terms import OFFSETS, CornerProducts, Coupling, exposure_corners, multiply_blocks, spread_out
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 
 
