@@ -31,7 +31,7 @@ from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..options import ImuOptions
 from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
-from ..progress import Progress
+from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, TriadSamples
 from ..results.calibration import Calibration, Provenance
 from ..results.result import interval_means
@@ -274,8 +274,9 @@ def plan(
     asked = wanted or (GENERAL_IMU if isinstance(what, ImuPlan) else GENERAL_RIG)
     before = _worst(bare, asked)
     found: list[Change] = []
-    for words, other in _changed(what) if changes else ():
-        tell(f"predicting: {words}")
+    others = list(_changed(what)) if changes else []
+    for done, (words, other) in enumerate(others):
+        tell(Step("predicting what would help", done, len(others)))
         try:
             after = _worst(_predicted(other, hardware, seed)[0], asked)
         except GnomonError:  # the board would leave the image

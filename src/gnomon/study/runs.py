@@ -124,6 +124,8 @@ def carry_out(
     if outcomes and progress:
         progress(f"{name}: {len(outcomes)} of {total} were done before and are taken over")
     left = [index for index in range(total) if index not in outcomes]
+    if left and progress:
+        progress(Step(name, len(outcomes), total))
     with closing(_stream(work, [tasks[index] for index in left], workers)) as stream:
         for place, outcome in stream:
             index = left[place]

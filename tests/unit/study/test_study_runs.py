@@ -61,7 +61,7 @@ def test_progress_tells_how_many_of_how_many_runs_are_done():
     told = []
     carry_out(abs, range(200), progress=told.append, name="experiment")
     assert told[-1] == "experiment: 200 of 200"
-    assert [step.done for step in told] == list(range(1, 201))
+    assert [step.done for step in told] == list(range(201))
     assert carry_out(abs, [], progress=told.append) == []
 
 

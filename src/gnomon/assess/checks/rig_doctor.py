@@ -14,7 +14,7 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
-from ...progress import Progress
+from ...progress import Progress, Step
 from ...recording import FrameQuality, ImuSamples, Integers, Recording
 from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
 from .camera_checks import (
@@ -121,8 +121,7 @@ def check_rig(
     tell = progress or (lambda _: None)
     streams: dict[str, StreamSummary] = {}
     for name, stream in recording.streams.items():
-        tell(f"looking at the images of {name}")
-        streams[name] = _looked_at(stream, target, sample)
+        streams[name] = _looked_at(name, stream, target, sample, tell)
     findings = check_imus(recording.imus)
     for name, look in streams.items():
         camera = (cameras or {}).get(name) or recording.streams[name].camera
@@ -225,7 +224,7 @@ class _Sample:
             self.unseen.clear()
 
 
-def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> StreamSummary:
+def _looked_at(name: str, stream: ImageStream, target: Target | None, sample: int, tell: Progress) -> StreamSummary:
     notes: list[str] = []
     stamps: list[int] = []
     count = stream.count or sum(1 for _ in stream.frames([]))
@@ -235,6 +234,7 @@ def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> Strea
     for number, frame in enumerate(stream.frames(notes)):
         stamps.append(frame.t_ns)
         if number in wanted:
+            tell(Step(f"looking at the images of {name}", len(gathered.t_ns), len(wanted)))
             gathered.look(frame, keep=number in kept)
     return StreamSummary(
         topic=stream.topic,
