@@ -48,6 +48,10 @@ HOSTILE = {
     "painted walls alone": replace(SMALL, surface="plain", furniture=0),
     "one tile again and again": replace(SMALL, surface="repeated"),
     "12 of 22 boxes move": replace(SMALL, moving=12),
+    "two people walk": replace(SMALL, people=2),
+    "five people walk": replace(SMALL, people=5),
+    "a wall is a mirror": replace(SMALL, mirror=True),
+    "a mirror, little else": replace(SMALL, mirror=True, furniture=3, room_m=(2.4, 2.2, 2.4)),
     "in the dark": replace(SMALL, light=0.06, image_noise=4.0),
     "blurred by motion": replace(SMALL, exposure_s=0.03, motion="shaky", duration_s=12.0),
     "unknown rolling shutter": replace(SMALL, line_delay_s=3e-5),
@@ -281,6 +285,7 @@ def main():
     parser.add_argument("--first", type=int, default=100, help="the first seed")
     parser.add_argument("--board", action="store_true", help="before an AprilGrid")
     parser.add_argument("--both", action="store_true", help="without a board, and before an AprilGrid")
+    parser.add_argument("--only", help="of hostile: scenes whose name has these words")
     parser.add_argument("--data", type=Path, help="of euroc: the recording")
     parser.add_argument("--stated", type=Path, help="of euroc: the folder of cam.yaml, imu.yaml, target.yaml")
     given = parser.parse_args()
@@ -295,6 +300,8 @@ def main():
         return
     if given.what == "hostile":
         for label, scenario in HOSTILE.items():
+            if given.only and given.only not in label:
+                continue
             run_one(scenario, given.first, label)
         return
     scenario = replace(USUAL, motion=given.motion)

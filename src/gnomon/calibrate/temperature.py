@@ -28,9 +28,9 @@ from ..estimate.temperature.bias_drift import (
 from ..findings import Finding
 from ..frozen import value_class
 from ..progress import Progress
-from ..recording import ImuSamples, Recording, Source
+from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
-from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
+from ..results.calibration import Calibration, Covariance, Provenance
 from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .steps.nominal_sensor import base_calibration
@@ -300,26 +300,22 @@ def _with_temperature(base: Calibration, fit: _Fit, *, nominal: bool, span: tupl
     """Return the calibration with the dependence, and the covariance of both; a bias that was ideal is found, too."""
     found = _dependence(fit, base, span)
     name, sensor = next(iter(base.imus.items()))
-    replaced = tuple(f"{name}.temperature.{triad}_bias[" for triad in fit.axes)
-    known = {scalar: i for i, scalar in enumerate(base.uncertainty.names) if not scalar.startswith(replaced)}
-    if nominal and sensor.gyroscope is not None:
-        bias = np.array([fit.drifts[axis].coefficients[0] for axis in fit.axes["gyroscope"]])
-        sensor = replace(sensor, gyroscope=replace(sensor.gyroscope, bias=bias))
-    imus = {name: replace(sensor, temperature=found)}
-    names = covariance_names(imus, base.cameras)
-    at = {scalar: i for i, scalar in enumerate(names)}
-    matrix = np.zeros((len(names), len(names)))
-    rows = [at[scalar] for scalar in known]
-    matrix[np.ix_(rows, rows)] = base.uncertainty.matrix[np.ix_(list(known.values()), list(known.values()))]
+    blocks: dict[str, Floats] = {}
     for triad, part in fit.axes.items():
-        for k, axis in enumerate(part if getattr(found, f"{triad}_bias") is not None else ()):
-            places = [at[f"{name}.temperature.{triad}_bias[{j},{k}]"] for j in range(fit.orders[triad])]
-            matrix[np.ix_(places, places)] = fit.drifts[axis].covariance[1:, 1:]
-    if nominal and sensor.gyroscope is not None:
-        for k, axis in enumerate(fit.axes["gyroscope"]):
-            place = at[f"{name}.gyroscope.bias[{k}]"]
-            matrix[place, place] = fit.drifts[axis].covariance[0, 0] + fit.variances[axis].turn_on
-    return replace(base, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
+        if getattr(found, f"{triad}_bias") is not None:
+            blocks[f"{triad}_bias"] = np.zeros((3 * fit.orders[triad],) * 2)
+            for k, axis in enumerate(part):
+                blocks[f"{triad}_bias"][k::3, k::3] = fit.drifts[axis].covariance[1:, 1:]
+    warm = base.with_temperature(name, found, blocks)
+    if not nominal or sensor.gyroscope is None:
+        return warm
+    axes, matrix = fit.axes["gyroscope"], warm.uncertainty.matrix.copy()
+    bias = np.array([fit.drifts[axis].coefficients[0] for axis in axes])
+    for k, axis in enumerate(axes):
+        place = warm.uncertainty.names.index(f"{name}.gyroscope.bias[{k}]")
+        matrix[place, place] = fit.drifts[axis].covariance[0, 0] + fit.variances[axis].turn_on
+    imus = {name: replace(warm.imus[name], gyroscope=replace(sensor.gyroscope, bias=bias))}
+    return replace(warm, imus=imus, uncertainty=Covariance(names=warm.uncertainty.names, matrix=matrix))
 
 
 def _describe(fit: _Fit, triad: str, base: Calibration) -> TriadOverTemperature:

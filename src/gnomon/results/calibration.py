@@ -315,17 +315,19 @@ class Calibration:
         return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
 
     def with_temperature(self, imu: str, found: TemperatureDependence, covariances: Mapping[str, Floats]) -> Self:
-        """Return the calibration with a dependence of an IMU on the temperature, which its other scalars do not share.
+        """Return the calibration with a dependence of an IMU on the temperature.
 
         Parameters
         ----------
-        covariances : of some parts of the dependence, in the order of the covariance; of others it is zero
+        found : what it was before included
+        covariances : of its new parts, which are independent of all others
         """
         imus = {**self.imus, imu: replace(self.imus[imu], temperature=found)}
         names = covariance_names(imus, self.cameras)
         at = {name: i for i, name in enumerate(names)}
         matrix = np.zeros((len(names), len(names)))
-        known = [i for i, name in enumerate(self.uncertainty.names) if name in at]
+        new = tuple(f"{imu}.temperature.{part}[" for part in covariances)
+        known = [i for i, name in enumerate(self.uncertainty.names) if name in at and not name.startswith(new)]
         rows = [at[self.uncertainty.names[i]] for i in known]
         matrix[np.ix_(rows, rows)] = self.uncertainty.matrix[np.ix_(known, known)]
         for part, covariance in covariances.items():

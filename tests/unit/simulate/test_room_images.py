@@ -69,6 +69,34 @@ def test_furniture_hides_the_wall_behind_it():
     assert render_room((room, box), LENS, R[None], p[None])[row, column] < 150
 
 
+def test_a_mirror_shows_what_is_before_it():
+    """A spot on the wall behind the camera, at z = 2 m, is seen where it would be at z = -6 m."""
+    room, _ = room_with_spot()
+    black = [np.zeros_like(face[0]) for face in room.levels]
+    black[5][500:524, 700:724] = 200
+    place = room.corner[5] + room.texel_m * (712 * room.axes[5, 0] + 512 * room.axes[5, 1])
+    room = replace(room, levels=tuple(texture_levels(face) for face in black))
+    R, p = looking_ahead((0.1, -0.15, 0.7))
+    assert not render_room((room,), LENS, R[None], p[None]).any()
+    image = render_room((room,), LENS, R[None], p[None], mirror=True)
+    reflected = np.array([place[0], place[1], -4.0 - place[2]])
+    assert np.abs(centroid(image) - LENS.project((R @ reflected + p)[None]).pixels[0]).max() < 0.1
+    # what stands before the mirror hides it
+    box = Surfaces.box(np.array([0.0, 0.0, -1.0]), np.eye(3), np.full(3, 1.6), "plain", np.random.default_rng(2))
+    hidden = render_room((room, box), LENS, R[None], p[None], mirror=True)
+    plain = render_room((room, box), LENS, R[None], p[None])
+    seen = plain > 0
+    assert seen.any()
+    assert np.array_equal(hidden[seen], plain[seen])
+
+
+def test_people_walk_beside_what_stands_there():
+    scenario, middle = RoomScenario(furniture=2), np.zeros(3)
+    alone, together = furnished_room(scenario, middle, 3), furnished_room(replace(scenario, people=2), middle, 3)
+    assert all(np.array_equal(a.corner, b.corner) for a, b in zip(alone, together, strict=False))
+    assert [bool(one.swing.any()) for one in together] == [False, False, False, True, True]
+
+
 def test_images_repeat_and_the_rest_of_the_rig_stays_the_same():
     scenario = RoomScenario(duration_s=0.5, resolution=(160, 120), intrinsics=tuple(LENS.intrinsics), furniture=2)
     simulation = simulate_camera_imu(scenario.rig(), 3)

@@ -9,6 +9,7 @@ so that three products a pixel tell what it shows, and the greatest inverse dist
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Self
 
@@ -33,6 +34,11 @@ _TILE = 96  # texels, of a surface that repeats itself
 _GRID = 8  # px between the rays that tell what is seen at all
 _STEP_PX = 0.8  # between the instants of an exposure
 _SHARPEST = 1.3  # texels to a pixel, from which on a coarser level is looked up
+_MIRROR, _REFLECTED = (
+    4,
+    0.9,
+)  # number of the wall that the rig faces, and what it shows of the light where it is a mirror
+_PERSON_M, _STRIDE_M = (0.5, 1.7, 0.3), (1.0, 0.0, 0.3)
 _SIDES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))  # axis of the normal, and those of the texture
 
 
@@ -95,6 +101,17 @@ class Surfaces:
             texel_m=texel_m,
             swing=np.zeros(3) if swing is None else swing,
             pulsation=rng.uniform(0.5, 1.5, 3),
+        )
+
+    def reflected(self, place: Floats, normal: Floats) -> Self:
+        """Return what a mirror shows of it, through a place (3,), with a normal (3,)."""
+        turn = np.eye(3) - 2 * np.outer(normal, normal)
+        return replace(
+            self,
+            corner=place + (self.corner - place) @ turn,
+            axes=self.axes @ turn,
+            normal=self.normal @ turn,
+            swing=self.swing @ turn,
         )
 
     def maps(self, o: Floats, t_s: float) -> Floats:
@@ -166,11 +183,22 @@ def furnished_room(scenario: RoomScenario, middle: Floats, seed: int) -> tuple[S
         R = rotation_from_rotvec(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
         swing = None if k < scenario.furniture else rng.uniform(0.2, 0.5) * np.array([1.0, 0.5, 0.3])
         found.append(Surfaces.box(middle + place, R, size, scenario.surface, rng, swing=swing))
+    for _ in range(scenario.people):
+        place = np.array([rng.uniform(-0.8, 0.8), (_PERSON_M[1] - room[1]) / 2, -rng.uniform(1.0, 1.5)])
+        turned = rotation_from_rotvec(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
+        stride = np.array(_STRIDE_M)
+        found.append(Surfaces.box(middle + place, turned, np.array(_PERSON_M), scenario.surface, rng, swing=stride))
     return tuple(found)
 
 
 def render_room(
-    room: tuple[Surfaces, ...], camera: Camera, R_cam_room: Floats, p_cam_room: Floats, t_s: float = 0.0
+    room: tuple[Surfaces, ...],
+    camera: Camera,
+    R_cam_room: Floats,
+    p_cam_room: Floats,
+    t_s: float = 0.0,
+    *,
+    mirror: bool = False,
 ) -> Singles:
     """Return the grey levels (height, width) that a camera sees at one instant, without lens blur and noise.
 
@@ -180,13 +208,30 @@ def render_room(
     camera : the lens
     R_cam_room, p_cam_room : (k, 3, 3) and (k, 3) pose of the room [m], of each row, or one of all
     t_s : when, for what moves
+    mirror : whether the wall that the rig faces shows what is before it
     """
+    rays = pixel_rays(camera)
+    pose = R_cam_room, -np.einsum("kji,kj->ki", R_cam_room, p_cam_room)
+    scene, nearest = _drawn(room, rays, *pose, t_s)
+    if mirror:
+        walls = room[0]
+        wall = (walls.maps(pose[1], t_s)[_MIRROR] @ np.swapaxes(R_cam_room, 1, 2)).astype(np.float32)
+        inverse = np.matmul(wall[:, 2:], rays)[:, 0]
+        behind, _ = _drawn(
+            tuple(one.reflected(walls.corner[_MIRROR], walls.normal[_MIRROR]) for one in room), rays, *pose, t_s
+        )
+        np.copyto(scene, _REFLECTED * behind, where=(inverse > 0) & (inverse >= (1 - 1e-4) * nearest))
+    return scene
+
+
+def _drawn(
+    room: tuple[Surfaces, ...], rays: Singles, R_cam_room: Floats, o: Floats, t_s: float
+) -> tuple[Singles, Singles]:
+    """Return grey levels and inverse distances (height, width) along rays from places o (k, 3)."""
     import cv2
 
-    rays = pixel_rays(camera)
     scene = np.zeros((rays.shape[0], rays.shape[2]), np.float32)
     nearest = np.zeros_like(scene)
-    o = -np.einsum("kji,kj->ki", R_cam_room, p_cam_room)
     for surfaces in room:
         maps = (surfaces.maps(o, t_s) @ np.swapaxes(R_cam_room, 1, 2)).astype(np.float32)
         for k, face in enumerate(maps):
@@ -208,7 +253,7 @@ def render_room(
             )
             np.copyto(part, grey, where=front)
             np.copyto(near, inverse, where=front)
-    return scene
+    return scene, nearest
 
 
 def _seen(face: Singles, rays: Singles, extent: Singles, texel_m: float) -> tuple[tuple[slice, slice], int] | None:
@@ -256,7 +301,8 @@ class _RoomView:
         movement = MotionSegment.during(self.scenario.exposure_s, camera, pose, _points(camera, pose), _STEP_PX)
         scene = np.zeros(camera.resolution[::-1], np.float32)
         for instant in range(movement.instants):
-            scene += render_room(self.room, camera, *movement.rows(instant), t_s + float(movement.at_s[instant]))
+            at_s = t_s + float(movement.at_s[instant])
+            scene += render_room(self.room, camera, *movement.rows(instant), at_s, mirror=self.scenario.mirror)
         optics = usual_light(self.simulation.scenario)
         scene *= light_falloff(camera.resolution, optics.vignetting, optics.gradient)
         scene *= np.float32(self.scenario.light / movement.instants)

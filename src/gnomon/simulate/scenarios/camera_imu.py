@@ -312,6 +312,12 @@ class RoomScenario(TrueLens, HandMotion):
     moving: int = 0
     """Further boxes, that move through the room."""
 
+    people: int = 0
+    """People, as boxes of their size, who walk up and down before the rig."""
+
+    mirror: bool = False
+    """The wall that the rig faces is a mirror."""
+
     exposure_s: float = 0.004
     """Exposure time of the images in seconds; timestamps are of its middle."""
 
@@ -353,8 +359,8 @@ class RoomScenario(TrueLens, HandMotion):
         check_ranges(self, positive="light", not_negative="exposure_s line_delay_s blur_px image_noise noise_factor")
         if min(self.room_m) < _NARROWEST_M:
             raise OptionError(f"room_m {min(self.room_m):g}: a rig is not waved in less than {_NARROWEST_M:g} m.")
-        if min(self.furniture, self.moving) < 0:
-            raise OptionError("furniture and moving count boxes: give none or more.")
+        if min(self.furniture, self.moving, self.people) < 0:
+            raise OptionError("furniture, moving and people are numbers: give none or more.")
         self.rig()
 
     def rig(self) -> CameraImuScenario:
