@@ -29,7 +29,7 @@ def known(real_data, tmp_path_factory):
     return alone, gnomon.calibrate_camera_imu(alone, board, gnomon.CameraImuOptions(model="full")).calibration
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", ["kept", "lost"])
 def test_pose_and_gyroscope_are_those_of_the_board(known, numbers):
     """Within 3 combined sigmas, where corners keep their numbers and where each gets a new one out of sight."""
