@@ -162,17 +162,17 @@ def test_a_change_by_a_single_cause_is_found_where_all_scalars_at_once_tell_too_
     named = np.zeros((2, 12), dtype=bool)
     for seed in range(12):
         sums = pulls(300 + seed, n=22, changed=only(path, 1.15 * way), share=step(11, n=22))
-        for row, causes in enumerate((None, {path: (way[:, None],)})):
+        for row, causes in enumerate((None, {path: {"way": way[:, None]}})):
             changes = found(sums, causes=causes)
             named[row, seed] = [one.block for one in changes] == [path]
             assert len(changes) <= 1
     assert named[1].sum() >= named[0].sum() + 3
-    assert not any(found(pulls(seed), causes={path: (way[:, None],)}) for seed in range(20))
+    assert not any(found(pulls(seed), causes={path: {"way": way[:, None]}}) for seed in range(20))
 
 
 def test_causes_are_what_scales_and_a_turn_of_the_triad_do_to_its_sensitivity():
     sensitivity = np.array([[0.1, 0.02, 0.9], [1.1, 0.0, 0.03], [0.05, -0.8, 0.01]])
-    gain, turn = triad_causes(sensitivity, turns=True)
+    gain, turn = triad_causes(sensitivity, turns=True).values()
     small = np.array([1e-6, -2e-6, 3e-6])
     scaled, turned = np.diag(1 + small) @ sensitivity, sensitivity @ rotation_from_rotvec(small)
     np.testing.assert_allclose((gain @ small).reshape(3, 3), scaled - sensitivity, atol=1e-12)

@@ -191,3 +191,12 @@ def test_a_recording_that_is_fit_leads_on_with_its_options(tmp_path):
     _, out, _ = run("check", path, "--rate", 100)
     assert "gyroscope  " not in out
     assert "nan" not in out
+
+
+def test_what_was_turned_for_its_magnetometer_needs_no_rests(tmp_path) -> None:
+    path = tmp_path / "field.npz"
+    assert run("simulate", "magnetometer", "-o", path, "--seed", 3)[0] == 0
+    found, codes = document(path)
+    assert (found["exit_code"], codes["never-static"]) == (0, "info")
+    _, out, _ = run("check", path)
+    assert f"gnomon magnetometer {path}" in out

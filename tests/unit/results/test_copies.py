@@ -12,6 +12,8 @@ import pytest
 import gnomon
 from cameras_result import make_cameras_result
 from gnomon.frozen import FrozenMapping
+from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.temperature import simulate_temperature
 
 
 def same(one, other) -> bool:
@@ -78,6 +80,22 @@ def plan():
     return gnomon.plan(gnomon.ImuPlan())
 
 
+def verification():
+    _, _, result = imu()
+    return gnomon.verify(result, gnomon.simulate(gnomon.Scenario(intervals=12), 4)[0])
+
+
+def several():
+    scenario = gnomon.Scenario(intervals=12, sensor_seed=3)
+    return gnomon.calibrate_imu([gnomon.simulate(scenario, seed)[0] for seed in (3, 4)])
+
+
+def temperature():
+    scenario = TemperatureScenario(recordings=2, rate_hz=5.0, duration_s=300.0, order=1, step_k=0.1)
+    made = simulate_temperature(scenario, 11)
+    return made, gnomon.calibrate_temperature(made.recordings)
+
+
 def scenario():
     return gnomon.simulate_camera_imu(
         gnomon.CameraImuScenario(duration_s=2.0, camera_rate_hz=5.0, imu_rate_hz=100.0), 0
@@ -87,10 +105,13 @@ def scenario():
 KINDS = {
     "imu": imu, "poses": poses, "turntable": turntable, "magnetometer": magnetometer, "noise": noise,
     "cameras": make_cameras_result, "comparison": comparison, "plan": plan, "simulated rig": scenario,
+    "verification": verification, "several recordings": several, "temperature": temperature,
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.long] * (kind == "temperature")) for kind in KINDS]
+)
 def test_a_result_survives_pickle_and_deepcopy(kind):
     result = KINDS[kind]()
     for twin in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):

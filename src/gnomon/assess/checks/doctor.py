@@ -201,7 +201,24 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     values, motion, IMU by IMU. Severity "problem" means that it cannot be calibrated.
     """
     findings = check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
+    if any(imu.magnetometer is not None for imu in recording.imus.values()):
+        alone = all(not len(imu.gyroscope) for imu in recording.imus.values())
+        findings = tuple(_for_a_magnetometer(finding, alone=alone) for finding in findings)
     return merge_by_cause(list(findings)) if len(recording.imus) == 1 else findings
+
+
+_OF_RESTS = {"never-static", "always-static", "attitudes"}
+
+
+def _for_a_magnetometer(finding: Finding, *, alone: bool) -> Finding:
+    """Return a finding on rests as one for a recording that may be there for its magnetometer, which needs none."""
+    if finding.code not in _OF_RESTS or finding.severity == "good":
+        return finding
+    return replace(
+        finding,
+        severity="info" if alone else "warning",
+        consequence=f"gnomon magnetometer needs no rests; gnomon imu does. {finding.consequence}",
+    )
 
 
 def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding, ...]:

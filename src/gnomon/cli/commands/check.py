@@ -87,7 +87,8 @@ def _check_imu(command: Check, terminal: Terminal) -> int:
     inertial = {name: imu for name, imu in recording.imus.items() if imu.magnetometer is None or len(imu.accelerometer)}
     findings = [*check(replace(recording, imus=inertial)), *check_magnetometers(recording)]
     rests = any(finding.code == "attitudes" for finding in findings)
-    following = ("imu", *source.paths, *_table_words(source)) if rests else ()
+    field = any(imu.magnetometer is not None for imu in recording.imus.values())
+    following = ("imu" if rests else "magnetometer", *source.paths, *_table_words(source)) if rests or field else ()
     return _print_check(findings, recording.imus, {}, recording.assumptions, terminal, following=following)
 
 

@@ -66,7 +66,7 @@ def robust_covariance(
     widened: bool = True,
     single: ClusterSums | None = None,
     order: Integers | None = None,
-    causes: Mapping[str, Sequence[Floats]] | None = None,
+    causes: Mapping[str, Mapping[str, Floats]] | None = None,
 ) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
