@@ -44,7 +44,7 @@ from ...results.trust import ParameterChange
 from .clusters import ClusterSums
 
 _CHANCE, _OF_TURNS = 0.005, 0.01
-"""That a recording in which nothing changed is said to have changed: over all looks, and over those at turns at once."""
+"""That a recording in which nothing changed is said to have changed; over all looks, and over those at sudden turns."""
 
 _FEWEST_IN_PART = 5  # stretches
 _MOST = 3  # changes that are told apart
