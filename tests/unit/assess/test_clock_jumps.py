@@ -59,20 +59,25 @@ def test_a_gyroscope_whose_range_changes_is_no_jump(simulation, factor) -> None:
         calibrate_camera_imu(recording, simulation.target)
 
 
-@pytest.mark.parametrize("what", ["axis", "recording"])
-def test_where_camera_and_gyroscope_cease_to_show_one_rotation_is_told(simulation, what) -> None:
+@pytest.mark.parametrize(("what", "at_s"), [("x", 12), ("y", 5.5), ("y", 15.5), ("z", 5.5), ("recording", 12)])
+def test_where_camera_and_gyroscope_cease_to_show_one_rotation_is_told(simulation, what, at_s) -> None:
+    """Of the early ones most cannot be aligned as a whole; the late ones can, and look like a few wrong frames."""
     recording = simulation.recording
     imu = recording.imus["imu0"]
     values = imu.gyroscope.values.copy()
-    if what == "axis":
-        values[2400:, 1] *= -1  # after 12 of 20 s
+    first = round(200 * at_s)  # of 20 s
+    if what == "recording":
+        values[first:] = values[first:][::-1].copy()
     else:
-        values[2400:] = values[2400:][::-1].copy()
+        values[first:, "xyz".index(what)] *= -1
     imu = replace(imu, gyroscope=replace(imu.gyroscope, values=values))
     edited = replace(recording, imus={"imu0": imu})
     found = next(one for one in check_corners(edited, simulation.target) if one.severity == "problem")
     assert (found.code, found.subject) == ("rotation-breaks", "cam0")
-    assert float(found.message.split()[1]) == pytest.approx(12, abs=1.5)
+    assert float(found.message.split()[1]) == pytest.approx(at_s, abs=1.5)
+    if (what, at_s) == ("y", 5.5):
+        with pytest.raises(RecordingError, match="cease, or begin"):
+            calibrate_camera_imu(edited, simulation.target)
     assert not any(one.code == "rotation-breaks" for one in check_corners(recording, simulation.target))
 
 

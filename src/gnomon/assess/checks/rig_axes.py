@@ -43,7 +43,8 @@ class AxesFit:
     ----------
     matrix : (3, 3) from the camera's axes to the sensor's
     offset : (3,) what the sensor reads besides
-    explained : share of the readings' variance that the map explains
+    explained : share of the readings' variance that the map explains, those apart that it cannot explain at all
+    used : share of the readings that it can
     delay_s : by which the sensor's readings come later than what the camera saw, at the time shift that was assumed
     delay_sigma_s : its standard deviation
     """
@@ -51,6 +52,7 @@ class AxesFit:
     matrix: Floats
     offset: Floats
     explained: float
+    used: float
     delay_s: float
     delay_sigma_s: float
 
@@ -122,6 +124,7 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
         matrix=fit.solution[:3].T,
         offset=fit.solution[3],
         explained=fit.explained,
+        used=float(fit.weight.mean()),
         delay_s=delay,
         delay_sigma_s=fit.shift_sigma(design, change),
     )
@@ -156,6 +159,7 @@ def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float
         matrix=_accelerometer_matrix(final.solution),
         offset=final.solution[21],
         explained=final.explained,
+        used=float(final.weight.mean()),
         delay_s=delay,
         delay_sigma_s=final.shift_sigma(design, slope),
     )

@@ -167,11 +167,10 @@ def check_look(
     gyroscope = gyroscope_axes(poses, stream, shift)
     if gyroscope is None:
         return findings, None
-    if gyroscope.explained < _WHOLE:
-        turns = turns_between_frames(poses, gyroscope_integral(stream.t_s, stream.rate), shift)
-        if (at_s := rotation_break(turns)) is not None:
-            after_s = at_s - shift - float(poses.t_s[0])
-            return [make_finding("rotation-breaks", name=name, imu=imu, after_s=after_s), *findings], None
+    if min(gyroscope.explained, gyroscope.used) < _WHOLE:
+        broken = _breaks(name, poses, gyroscope_integral(stream.t_s, stream.rate), shift, imu)
+        if broken:
+            return [*broken, *findings], None
     findings += _slow(name, alignment)
     accelerometer = accelerometer_axes(poses, stream, shift)
     findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
@@ -185,6 +184,26 @@ def check_look(
     if not jump and accelerometer is not None and accelerometer.explained > _EXPLAINED:
         findings += _apart(imu, gyroscope, accelerometer)
     return [*findings, *_shift(name, imu, shift)], None if times is None else times.turns
+
+
+def _breaks(name: str, poses: BoardPoses, integral: GyroscopeIntegral, shift_s: float, imu: str) -> list[Finding]:
+    at_s = rotation_break(turns_between_frames(poses, integral, shift_s))
+    if at_s is None:
+        return []
+    return [make_finding("rotation-breaks", name=name, imu=imu, after_s=at_s - shift_s - float(poses.t_s[0]))]
+
+
+def _breaks_by_thirds(name: str, poses: BoardPoses, integral: GyroscopeIntegral, imu: str) -> list[Finding]:
+    """Say where camera and gyroscope cease to show one rotation, by a part that can be aligned, as the whole cannot."""
+    third = np.arange(len(poses)) * 3 // max(len(poses), 1)
+    for k in (0, 2):
+        try:
+            shift_s = align_camera(poses.where(third == k), integral, name).time_shift_s
+        except InitialisationError:
+            continue
+        if found := _breaks(name, poses, integral, shift_s, imu):
+            return found
+    return []
 
 
 def _slow(name: str, alignment: Alignment) -> list[Finding]:
@@ -245,7 +264,8 @@ def check_clock_changes(
 ) -> list[Finding]:
     """Return what of the clocks is too bad for one time shift to begin with (codes clock-jump, clock-drift).
 
-    A gyroscope whose range changed looks like jumps, and is told instead (code gyroscope-range-changed).
+    What looks like it is told instead: a gyroscope whose range changed (code gyroscope-range-changed), or where nothing
+    could be aligned one that shows the camera's rotation in a part only (code rotation-breaks).
 
     Parameters
     ----------
@@ -280,6 +300,8 @@ def check_clock_changes(
         findings.append(
             _jumped(imu, name, -ahead_s, at_s, which) if which == imu else _jumped(name, imu, ahead_s, at_s, which)
         )
+    if not findings and alignment is None:
+        return _breaks_by_thirds(name, poses, integral, imu)
     return findings
 
 
