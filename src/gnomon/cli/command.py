@@ -139,8 +139,8 @@ class TableOptions:
     columns: str | None = None
     """What the columns of a table are, such as "t ax ay az gx gy gz"; _ skips one."""
 
-    rate: float | None = None
-    """Sample rate in Hz, for a table without time."""
+    rate: Annotated[float | None, Argument(aliases=("--rate-hz",))] = None
+    """Sample rate in Hz, for a table without time; rate_hz in Python."""
 
     units: str | None = None
     """Units of the recording: "si", "raw" (counts), or a list such as "g deg/s us"; recognised where not given."""

@@ -152,7 +152,7 @@ class Apply(Command):
         stated = {option: value for option, value in source.table.items() if value is not None}
         reading = {"units": None} | kept | stated
         if kept.keys() - stated.keys():
-            told = ", ".join(f"{option} {kept[option]}" for option in kept if option not in stated)
+            told = ", ".join(f"--{name.removesuffix('_hz')} {kept[name]}" for name in kept if name not in stated)
             terminal.warn(f"read as the recording of the calibration: {told}.")
         units = reading.pop("units")
         units = None if units is None else Units.parse(units)
