@@ -64,14 +64,27 @@ _TEMPLATE = _Template()
 
 def read_catalogue() -> list[dict[str, Any]]:
     """Return the catalogue of findings in its order; its first lines say what the keys mean."""
+    return _parsed(CATALOGUE.read_text(encoding="utf-8"))
+
+
+def _parsed(text: str) -> list[dict[str, Any]]:
     import yaml
 
-    return yaml.load(CATALOGUE.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 @cache
-def _templates() -> dict[str, dict[str, Any]]:
-    return {entry["code"]: entry for entry in read_catalogue() if "code" in entry}
+def _entries() -> dict[str, str]:
+    """Return the entry of each code as it is written: of hundreds a recording needs a few."""
+    parts = re.split("^- code: ", CATALOGUE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    return {
+        part.partition("\n")[0].strip(): f"- code: {re.split('^- ', part, flags=re.MULTILINE)[0]}" for part in parts
+    }
+
+
+@cache
+def _template(key: str) -> dict[str, Any]:
+    return _parsed(_entries()[key])[0]
 
 
 def make_finding(
@@ -86,7 +99,7 @@ def make_finding(
     case : which of several texts holds, where the catalogue has several; else that of "else", or none
     facts : what the texts name
     """
-    entry = _templates()[key]
+    entry = _template(key)
     cases = (case,) if isinstance(case, str) else case
     texts = {name: _text(entry.get(name, ""), cases, facts) for name in ("message", "consequence", "cure", "subject")}
     graded: Severity = severity or entry["severity"]

@@ -7,7 +7,11 @@ from string import Formatter
 import pytest
 
 from docs_pages import ROOT
-from gnomon.findings import make_finding, read_catalogue
+from gnomon.findings import (
+    _template,  # pyright: ignore[reportPrivateUsage]
+    make_finding,
+    read_catalogue,
+)
 
 TEXTS = ("message", "consequence", "cure", "subject")
 ENTRIES = {entry["code"]: entry for entry in read_catalogue() if "code" in entry}
@@ -91,3 +95,9 @@ def test_a_good_finding_is_a_message_alone_and_cases_choose_among_texts():
 def test_a_fact_that_is_missing_is_an_error():
     with pytest.raises(KeyError):
         make_finding("noise-misfit", severity="warning", name="gyroscope")
+
+
+def test_an_entry_alone_is_the_one_of_the_whole_catalogue():
+    assert {code: _template(code) for code in ENTRIES} == ENTRIES
+    with pytest.raises(KeyError):
+        _template("no-such-code")
