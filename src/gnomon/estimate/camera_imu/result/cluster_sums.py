@@ -14,7 +14,6 @@ J_x W. They are independent of the others; the means themselves are m = mu - L Z
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..batch import error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, by_span, taken_together
 from ..terms.prior_terms import FIRST_BIAS_SIGMA, border_priors, random_walk_links, second_differences
-from ..terms.visual_terms import exposure_times
+from ..terms.visual_terms import VisualTerms, exposure_times
 from ..trajectory import BIAS, POSE, KnotGrid, Trajectory
 
 STRETCH_S = 0.5
@@ -53,9 +52,9 @@ def cluster_sums(solution: Solution) -> ClusterSums:
     follows = _following(solution, shifts)
     stretch, t_s = _stretches(grid)
     sums = _Sums(len(t_s), follows.shape[2])
-    _add_measurements(sums, solution, follows, stretch)
+    visual = _add_measurements(sums, solution, follows, stretch, apart=len(shifts) > 0)
     if len(shifts):
-        _add_board(sums, solution, follows, shifts=shifts, stretch=stretch)
+        _add_board(sums, visual, follows, shifts=shifts, stretch=stretch, dense=solution.layout.dense)
     biases = trajectory.controls[:, POSE:]
     roots = np.sqrt(np.repeat(np.square(noise.walks).ravel(), TRIAD))
     for at, distance, time_s in random_walk_links(grid):
@@ -115,10 +114,23 @@ class _Sums:
             self.pull[number] += right[begin:end].ravel() @ flat
 
 
-def _add_measurements(sums: _Sums, solution: Solution, follows: Floats, stretch: Integers) -> None:
-    """Add the rows of all readings and corners, but for what shifts of the board's corners do."""
-    state, grid = solution.state, solution.state.trajectory.grid
-    inertial, visual = error_terms(solution.measurements, state, solution.layout, solution.noise, probing=False)
+def _add_measurements(
+    sums: _Sums, solution: Solution, follows: Floats, stretch: Integers, *, apart: bool
+) -> list[VisualTerms]:
+    """Add the rows of all readings and corners, but for what shifts of the board's corners do.
+
+    Returns
+    -------
+    list
+        Error terms of the corners; `apart`, each stretch for itself in their `coupling`
+    """
+    state, grid, measurements = solution.state, solution.state.trajectory.grid, solution.measurements
+    cameras = state.parameters.cameras
+    seen = [grid.places(exposure_times(data, cameras[data.camera])) for data in measurements.visual]
+    parts = [np.where(places.inside, stretch[places.first], 0) for places in seen]
+    inertial, visual = error_terms(
+        measurements, state, solution.layout, solution.noise, probing=False, parts=parts if apart else None
+    )
     for term in (*inertial, *visual):
         columns = term.columns
         for part in taken_together(term):
@@ -127,21 +139,18 @@ def _add_measurements(sums: _Sums, solution: Solution, follows: Floats, stretch:
             for to, own in columns.pieces:
                 reduced[:, :, to] += rows[:, :, own]
             sums.add(stretch[spans], reduced, rows[:, :, columns.side])
+    return visual
 
 
-def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floats, stretch: Integers) -> None:
+def _add_board(
+    sums: _Sums, visual: list[VisualTerms], follows: Floats, *, shifts: Floats, stretch: Integers, dense: int
+) -> None:
     """Add what the shifts of the board's corners do, stretch by stretch.
 
     With U the rows that are summed up already, and J_o the columns of the shifts, which follow by A,
     (U + J_o A)'(U + J_o A) lacks A'J_o'U + U'J_o A + A'J_o'J_o A.
     """
-    visual, state = solution.measurements.visual, solution.state
-    grid = state.trajectory.grid
-    of_camera = [grid.places(exposure_times(data, state.parameters.cameras[data.camera])) for data in visual]
-    parts = [np.where(places.inside, stretch[places.first], 0) for places in of_camera]
-    alone = replace(solution.measurements, inertial=())
-    terms = error_terms(alone, state, solution.layout, solution.noise, probing=False, parts=parts)[1]
-    for term in terms:
+    for term in visual:
         coupling = term.coupling(1)
         assert coupling is not None
         moved = coupling.moved(follows)
@@ -150,7 +159,7 @@ def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floa
             if start == stop:
                 continue
             flat = coupling.by_pose[start:stop].T @ moved[start:stop]
-            flat[:, : solution.layout.dense] += coupling.border[k].T
+            flat[:, :dense] += coupling.border[k].T
             towards = shifts.T @ flat
             own = coupling.squares[k] @ shifts.reshape(-1, 3, shifts.shape[1])
             sums.information[k] += towards + towards.T + shifts.T @ own.reshape(flat.shape)

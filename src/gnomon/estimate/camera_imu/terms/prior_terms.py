@@ -89,13 +89,13 @@ def add_priors(system: BorderedBand, parameters: RigParameters, layout: BorderLa
 
 def border_priors(parameters: RigParameters, layout: BorderLayout) -> tuple[Floats, Floats, float]:
     """Return information (p, p) and pull (p,) of the priors, by a step of the border's scalars, and their cost."""
-    information = layout.prior_information
+    known = layout.prior_information
     difference = layout.values(parameters) - layout.prior_mean
-    jacobian = layout.values_jacobian(parameters)
+    dense = slice(layout.dense)  # the corners of a board behind them move as they are, each on its own
+    jacobian = layout.values_jacobian(parameters)[dense, dense]
+    information, towards = known.copy(), known @ difference
+    information[dense, dense] = jacobian.T @ known[dense, dense] @ jacobian
+    towards[dense] = jacobian.T @ towards[dense]
     free = np.where(layout.free, difference, 0.0)
     together, pull, cost = rig_prior(layout, parameters)
-    return (
-        jacobian.T @ information @ jacobian + together,
-        pull - jacobian.T @ information @ difference,
-        cost + 0.5 * float(free @ information @ free),
-    )
+    return information + together, pull - towards, cost + 0.5 * float(free @ known @ free)
