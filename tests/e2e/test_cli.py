@@ -160,6 +160,11 @@ def test_demo_prints_a_table_that_fits(tmp_path, run):
     assert "\x1b" not in out + err
 
 
+@pytest.mark.parametrize("words", [[], ["imu"], ["simulate", "noise"]])
+def test_help_may_be_asked_for_by_name(words, run):
+    assert run("help", *words) == run(*words, "--help")
+
+
 def test_help_names_every_command(run):
     code, out, _ = run("--help")
     assert code == 0

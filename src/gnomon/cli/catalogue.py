@@ -70,7 +70,7 @@ SIMULATED = [name.partition(" ")[2] for name in _CLASSES if " " in name]
 
 
 _MEANT = {
-    "calibrate": "imu, camera-imu, camera, turntable, magnetometer or noise",
+    **dict.fromkeys(("calibrate", "calib", "cal"), "imu, camera-imu, camera, turntable, magnetometer or noise"),
     "accel": "imu", "accelerometer": "imu", "gyro": "imu or turntable", "gyroscope": "imu or turntable",
     "mag": "magnetometer", "compass": "magnetometer", "allan": "noise", "lens": "camera", "intrinsics": "camera",
     "extrinsics": "camera-imu", "stereo": "camera", "board": "target", "record": "live", "read": "check",
@@ -110,7 +110,9 @@ def parse_command(arguments: Sequence[str]) -> Command:
         If a file of options cannot be read.
     """
     words = list(arguments) or ["--help"]
-    if words[0] in ("-V", "--version"):
+    if words[0] == "help":  # gnomon help imu, as of git
+        words = [*words[1:], "--help"]
+    if words[0] in ("-V", "--version", "version"):
         from ..kernel import describe_kernel
 
         sys.stdout.write(f"gnomon {__version__} ({describe_kernel()})\n")
