@@ -228,7 +228,7 @@ def descend_corners(
     return found[0], variance, found[1], found[2]
 
 
-def fit_homography(points: Floats, pixels: Floats) -> Floats:
+def solve_homography(points: Floats, pixels: Floats) -> Floats:
     """Return the homography (3, 3) from points (m, 2) to pixels (m, 2); see there, in the places of tags."""
     library = load_kernel()
     assert library is not None

@@ -115,7 +115,7 @@ def changed(text, pattern, replacement):
         (r"bias: \[.*", "bias: 3", r"bias: found 3, expected a list"),
         (r"unit: count", "unit: counts", r'accelerometer\.unit: found "counts"\. Did you mean count\?'),
         (r"intervals_used: 38", "intervals_used: 38.5", r"intervals_used: found 38\.5, expected a whole number"),
-        (r"^schema: gnomon/1$", "schema: gnomon/1.8", r"schema: found gnomon/1\.8, .*update gnomon"),
+        (r"^schema: gnomon/1$", "schema: gnomon/1.99", r"schema: found gnomon/1\.99, .*update gnomon"),
         (r"^schema: gnomon/1$", "schema: gnomon/2", r"schema: found gnomon/2, .*update gnomon"),
         (r"^schema: gnomon/1$", "schema: other/1", r'found "other/1", expected gnomon/1'),
         (r"^schema: gnomon/1\n", "", r"this is no gnomon calibration"),

@@ -212,7 +212,7 @@ def _interpolated(board: Floats, pixels: Floats, points: Floats, near: Integers,
 def fit_homography(points: Floats, pixels: Floats) -> Floats:
     """Return the homography (3, 3) that maps points (m, 2) to pixels (m, 2) best, by algebraic distance."""
     if load_kernel() is not None:
-        return library.fit_homography(points, pixels)
+        return library.solve_homography(points, pixels)
     (from_, p), (to, q) = _normalised(points), _normalised(pixels)
     p = np.column_stack([p, np.ones(len(p))])
     by = np.column_stack([np.ones(len(q)), -q, np.square(q).sum(axis=1)])
