@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.assess.checks.protocol import find_imu_rests
 from gnomon.recording import Floats
+from gnomon.results.result import interval_means
 
 
 def changed_rates(seed: int, factor: float, share: float) -> gnomon.Recording:
@@ -90,3 +92,20 @@ def _changed(recording: gnomon.Recording, triad: str, axes: Floats, share: float
     later = samples.t_s > share * samples.t_s[-1]
     values = np.where(later[:, None], samples.values @ axes.T, samples.values)
     return replace(recording, imus={"imu0": replace(imu, **{triad: replace(samples, values=values)})})
+
+
+def test_a_gyroscope_that_hangs_while_the_sensor_is_turned_over_is_no_reversed_accelerometer() -> None:
+    recording = gnomon.simulate(gnomon.Scenario(intervals=24), 44)[0]
+    imu = recording.imus["imu0"]
+    detection = find_imu_rests(imu)
+    assert detection is not None
+    rests = detection.chosen.intervals
+    up = interval_means(imu.accelerometer.values, rests)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    over = int(np.argmin(np.sum(up[1:] * up[:-1], axis=1)))
+    assert up[over] @ up[over + 1] < -0.99
+    rates = imu.gyroscope.values.copy()
+    rates[rests.stop[over] : rests.start[over + 1]] = rates[rests.stop[over]]
+    hung = replace(recording, imus={"imu0": replace(imu, gyroscope=replace(imu.gyroscope, values=rates))})
+    codes = {one.code for one in gnomon.calibrate_imu(hung).calibration.assessment.findings}
+    assert "axes-changed" not in codes

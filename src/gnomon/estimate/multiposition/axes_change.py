@@ -27,7 +27,8 @@ _ALONG = 0.85  # cosine between what gravity did and what the gyroscope showed, 
 _NEAR, _REVERSED = np.cos(np.radians([25.0, 155.0]))  # raw scales and axes are off by some per cent
 _FEWEST, _MOSTLY = 2, 0.9  # rotations on either side that only one way explains; share that it must explain
 _FACTOR, _FACTORS = 1.6, 25  # ranges differ by two; shares of a rotation that are tried
-_FINE = np.linspace(0.8, 1.25, 19)
+_ACROSS = 0.7  # cosine to where a turn began, in its middle
+_FINE = np.linspace(0.8, 1.25, 10)
 
 
 @value_class
@@ -55,13 +56,20 @@ class _Turns:
     Attributes
     ----------
     problem : they are of
+    path : (n, 3) direction of what the accelerometer reads at the samples of the segments
     u : (m + 1, 3) direction of gravity before and after
     felt : (48, m, 3) change of u by the gyroscope for each way of `_SIGNED` [its unit per rad/s]
     """
 
     problem: MultiPositionProblem
+    path: Floats
     u: Floats
     felt: Floats
+
+    def passes_through(self, row: int) -> bool:
+        """Return whether the accelerometer was turned, rather than reversed from one sample to the next."""
+        first, length = self.problem.data.segments.first[row], self.problem.data.segments.lengths[row]
+        return bool(np.sum(np.abs(self.path[first : first + length] @ self.u[row]) < _ACROSS) > 1)
 
     def cosines_and_factors(self) -> tuple[Floats, Floats]:
         """Return how well and how much of gravity's turn each way shows, (48, m) each; 0 where it hardly turned."""
@@ -95,7 +103,7 @@ def _turns_of(problem: MultiPositionProblem) -> _Turns:
     products = np.einsum("na,ni->nai", weight[:, None] * _rates(problem), u_path)
     sums = np.add.reduceat(products.reshape(-1, 9), segments.first).reshape(-1, 3, 3)
     by_axes = -np.cross(np.eye(3)[None, None], sums[:, :, None])  # of axis a along j: -e_j x (sum of y_a u)
-    return _Turns(problem=problem, u=u, felt=np.einsum("pja,kajc->pkc", _SIGNED, by_axes))
+    return _Turns(problem=problem, path=u_path, u=u, felt=np.einsum("pja,kajc->pkc", _SIGNED, by_axes))
 
 
 def _rates(problem: MultiPositionProblem) -> Floats:
@@ -120,10 +128,16 @@ def find_axes_change(problem: MultiPositionProblem) -> AxesChange | None:
         return None
     linked = np.array([not why for why in problem.unlinked], dtype=bool)
     own = factors[usual][alike[usual]]
-    agree = np.sum(turns.predicted(usual, float(np.median(own))) * turns.u[1:], axis=1)
-    off = np.flatnonzero((agree < _NEAR) & linked)
-    if len(off) == 1 and agree[off[0]] < _REVERSED:
-        return AxesChange(row=int(off[0]), triad="accelerometer", after=-np.eye(3))
+    rough = usual, float(np.median(own))
+    predicted = turns.predicted(*rough)
+    if (np.sum(predicted * turns.u[1:], axis=1) < _NEAR).any():
+        predicted = turns.predicted(usual, _refined(turns, rough, slice(None)))
+    agree = np.sum(predicted * turns.u[1:], axis=1)
+    off, reverse = np.flatnonzero((agree < _NEAR) & linked), np.flatnonzero((agree < _REVERSED) & linked)
+    if len(reverse) == 1 and len(off) <= 1 + (1 - _MOSTLY) * len(agree):
+        row = int(reverse[0])
+        unseen = float(predicted[row] @ turns.u[row]) > _NEAR and turns.passes_through(row)
+        return None if unseen else AxesChange(row=row, triad="accelerometer", after=-np.eye(3))
     if len(off) < _FEWEST:
         return None
     ways = [(way, float(np.median(factors[way][alike[way]]))) for way in range(len(_SIGNED)) if alike[way].any()]
