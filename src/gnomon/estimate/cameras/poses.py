@@ -17,7 +17,8 @@ from .rig import CameraRig
 from .views import CameraCorners
 
 _STEPS = 12
-_AT_REST = 1e-8  # of the cost
+_AT_REST = 1e-8  # of the cost, of all views or of one
+_FEWER = 0.75  # of the views that are moved, from which on the others are not looked at any more
 _WEIGHED = (1, 3)  # steps before which the scatter is found anew
 _HUBER = 2.0
 _MOST_TURN = 0.5  # rad in one step
@@ -40,13 +41,14 @@ def settle_poses(
 ) -> tuple[CameraRig, Floats]:
     """Return the rig with each view's pose where its own robust cost is least, and that cost (v,).
 
-    Each view is damped alone. Without `noise` the corners' scatter about the poses is found on the way.
+    Each view is damped alone, and left where it came to rest. Without `noise` the corners' scatter about the poses is
+    found on the way.
     """
     layout = SharedLayout.poses_only(rig.cameras)
     weights = noise or {name: CornerNoise(sigma_px=1.0, huber=np.inf) for name in rig.cameras}
     at = accumulate_normal_equations(corners, target, rig, layout, weights)
     pose, gradient, cost = at.pose, at.pose_gradient, at.cost
-    damping = np.full(len(cost), 1e-6)
+    damping, active = np.full(len(cost), 1e-6), np.ones(len(cost), dtype=bool)
     for step in range(steps):
         if noise is None and step in _WEIGHED:
             weights = _weights(corners, at)
@@ -57,8 +59,8 @@ def settle_poses(
         moves *= np.minimum(1.0, _MOST_TURN / np.maximum(turn, 1e-300))
         trial = layout.moved(rig, moves, np.empty(0))
         at = accumulate_normal_equations(corners, target, trial, layout, weights)
-        better = at.cost <= cost * (1 + 1e-12)
-        gained = float((cost - at.cost)[better].sum())
+        better = active & (at.cost <= cost * (1 + 1e-12))
+        gained = np.where(better, cost - at.cost, 0.0)
         one, two = better[:, None], better[:, None, None]
         rig = replace(
             rig,
@@ -68,8 +70,13 @@ def settle_poses(
         pose, gradient = np.where(two, at.pose, pose), np.where(one, at.pose_gradient, gradient)
         cost = np.where(better, at.cost, cost)
         damping = np.where(better, np.maximum(0.1 * damping, 1e-9), np.maximum(10 * damping, 1e-3))
-        if step > max(_WEIGHED) and gained <= _AT_REST * cost.sum():
+        if step <= max(_WEIGHED):
+            continue
+        moving = active & ~(better & (gained <= _AT_REST * cost))
+        if gained.sum() <= _AT_REST * cost.sum():
             break
+        if moving.sum() < _FEWER * active.sum():
+            active, corners = moving, [seen.only(moving[seen.view]) for seen in corners]
     return rig, cost
 
 

@@ -83,7 +83,7 @@ def _solved(
         bad = _bad_frames(state)
         if not any(one.any() for one in bad):
             break
-        kept = tuple(_without(seen, one) for seen, one in zip(state.problem.corners, bad, strict=True))
+        kept = tuple(seen.only(~one) for seen, one in zip(state.problem.corners, bad, strict=True))
         further = _minimum(replace(state.problem, corners=kept), state.rig, state.noise, most_iterations)
         state = replace(further, steps=state.steps + further.steps)
     return _solution(state)
@@ -210,26 +210,6 @@ def _medians(values: Floats, exposures: Exposures) -> Floats:
     order = np.lexsort((values, exposures.of_corner))
     lengths = np.diff(exposures.start)
     return values[order][exposures.start[:-1] + lengths // 2]
-
-
-def _without(seen: CameraCorners, bad: np.ndarray) -> CameraCorners:
-    """Return the corners without those of some exposures."""
-    kept = ~bad[seen.exposures.of_corner]
-    old, lengths = seen.exposures, np.diff(seen.exposures.start)[~bad]
-    return replace(
-        seen,
-        view=seen.view[~bad],
-        own_sigma_px=None if seen.own_sigma_px is None else seen.own_sigma_px[kept],
-        exposures=Exposures(
-            frame=old.frame[~bad],
-            start=np.concatenate([[0], np.cumsum(lengths)]),
-            points=old.points[kept],
-            pixels=old.pixels[kept],
-            delay_rows=old.delay_rows[~bad],
-            spread=None if old.spread is None else old.spread[kept],
-            point=seen.point[kept],
-        ),
-    )
 
 
 def _solution(state: _State) -> RigSolution:

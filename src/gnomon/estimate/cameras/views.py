@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
+from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 from ..camera_imu.start.board_poses import gather_exposures
@@ -47,6 +48,25 @@ class CameraCorners:
     def of_corner(self) -> Integers:
         """View of each corner, (m,)."""
         return self.view[self.exposures.of_corner]
+
+    def only(self, chosen: Booleans) -> "CameraCorners":
+        """Return the corners of some exposures, (e,)."""
+        kept = chosen[self.exposures.of_corner]
+        old, lengths = self.exposures, np.diff(self.exposures.start)[chosen]
+        return replace(
+            self,
+            view=self.view[chosen],
+            own_sigma_px=None if self.own_sigma_px is None else self.own_sigma_px[kept],
+            exposures=Exposures(
+                frame=old.frame[chosen],
+                start=np.concatenate([[0], np.cumsum(lengths)]),
+                points=old.points[kept],
+                pixels=old.pixels[kept],
+                delay_rows=old.delay_rows[chosen],
+                spread=None if old.spread is None else old.spread[kept],
+                point=self.point[kept],
+            ),
+        )
 
 
 def gathered_views(cameras: Mapping[str, CameraFrames], target: Target) -> RigViews:

@@ -373,24 +373,23 @@ def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]
     pairs = np.ix_(held, free)
     follow = np.linalg.solve(whole[np.ix_(held, held)], np.concatenate([whole[pairs], first[pairs]], axis=1))
     basis, _, _ = np.linalg.svd(follow, full_matrices=False)
-    way = _size(sums)[held, None] * basis
+    way = np.zeros((len(sums.prior_pull), basis.shape[1]))  # of all, so that nothing large is copied
+    way[held] = _size(sums)[held, None] * basis
     kept = sums.of_parameters(free)
-    cross = sums.information[:, free[:, None], held] @ way
-    own = way.T @ (sums.information[:, held[:, None], held] @ way)
-    prior = sums.prior_information[np.ix_(held, held)] @ way
-    beside = sums.prior_information[np.ix_(free, held)] @ way
+    along, prior = sums.information @ way, sums.prior_information @ way
+    cross, beside = along[:, free], prior[free]
     return (
         replace(
             sums,
-            pull=np.concatenate([kept.pull, sums.pull[:, held] @ way], axis=1),
+            pull=np.concatenate([kept.pull, sums.pull @ way], axis=1),
             information=np.concatenate(
                 [
                     np.concatenate([kept.information, cross], axis=2),
-                    np.concatenate([cross.swapaxes(1, 2), own], axis=2),
+                    np.concatenate([cross.swapaxes(1, 2), way.T @ along], axis=2),
                 ],
                 axis=1,
             ),
-            prior_pull=np.concatenate([kept.prior_pull, sums.prior_pull[held] @ way]),
+            prior_pull=np.concatenate([kept.prior_pull, sums.prior_pull @ way]),
             prior_information=np.block([[kept.prior_information, beside], [beside.T, way.T @ prior]]),
         ),
         np.concatenate([jacobian[:, free], np.zeros((len(jacobian), way.shape[1]))], axis=1),

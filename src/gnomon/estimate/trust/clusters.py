@@ -61,6 +61,7 @@ class ClusterSums:
             return self
         order = np.argsort(which, kind="stable")
         first = np.searchsorted(which[order], np.arange(len(numbers)))
+        order = order if (np.diff(order) < 0).any() else slice(None)  # many parameters: no copy where none is needed
         return replace(
             self,
             t_s=np.add.reduceat(self.t_s[order], first) / np.bincount(which),
