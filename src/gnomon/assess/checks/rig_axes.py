@@ -130,8 +130,14 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
     )
 
 
-def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
-    """Return how the accelerometer reads gravity and the camera's acceleration; None where too little was seen."""
+def felt_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[Floats, Floats, Floats] | None:
+    """Return instants [s] (n,), what the camera saw of the force there (n, 22), and what was read (n, 3); or None."""
+    seen = _seen_force(poses, stream, time_shift_s)
+    return None if seen is None else (seen[0], seen[1], _averaged(stream, seen[0], seen[2]))
+
+
+def _seen_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[Floats, Floats, float] | None:
+    """Return instants [s] (n,), what the camera saw there (n, 22), and over which time [s]; None of too few frames."""
     t_s = poses.t_s + time_shift_s
     R = np.swapaxes(poses.R_cam_target, 1, 2)
     p = -np.einsum("nij,nj->ni", R, poses.p_cam_target)
@@ -145,7 +151,15 @@ def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float
     felt = np.einsum("nij,njk->nik", R_cam_target, both).reshape(len(centre), 12)
     design = np.column_stack([felt, R_cam_target.reshape(len(centre), 9), np.ones(len(centre))])
     # columns 0, 4, 8 hold the acceleration, 1-3, 5-7, 9-11 the arm's
-    at = t_s[centre]
+    return t_s[centre], design, step_s
+
+
+def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
+    """Return how the accelerometer reads gravity and the camera's acceleration; None where too little was seen."""
+    seen = _seen_force(poses, stream, time_shift_s)
+    if seen is None:
+        return None
+    at, design, step_s = seen
     fit = _robust(design, _averaged(stream, at, step_s))
     slope = (_averaged(stream, at + 0.01, step_s) - _averaged(stream, at - 0.01, step_s)) / 0.02
     delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)

@@ -26,6 +26,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
+from .accelerometer_change import check_accelerometer_change
 from .board_turn import BoardTurns, board_move, moved_finding
 from .clock_drift import look_at_drift
 from .rig_axes import (
@@ -72,7 +73,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
 _OF_AN_IMU = frozenset(
     {
         *("not-aligned", "axes-differ", "axes-mirrored", "triads-apart", "clock-jump", "clock", "clock-drift"),
-        *("time-shift", "gyroscope-range-changed", "rotation-breaks"),
+        *("time-shift", "gyroscope-range-changed", "rotation-breaks", "axes-changed"),
     }
 )
 """Findings on a camera beside an IMU that tell something of the IMU."""
@@ -148,8 +149,8 @@ def check_look(
 ) -> tuple[list[Finding], BoardTurns | None]:
     """Return findings on one camera beside the IMU, and by how much it saw the board turn, where that can be told.
 
-    Codes: rotation-breaks, axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump,
-    frames-late, triads-apart, time-shift, motion-slow.
+    Codes: rotation-breaks, axes-changed, axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion,
+    clock-jump, frames-late, triads-apart, time-shift, motion-slow.
 
     Parameters
     ----------
@@ -173,6 +174,8 @@ def check_look(
             return [*broken, *findings], None
     findings += _slow(name, alignment)
     accelerometer = accelerometer_axes(poses, stream, shift)
+    if accelerometer is not None and min(accelerometer.explained, accelerometer.used) < _WHOLE:
+        findings += check_accelerometer_change(poses, stream, shift, imu)
     findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
     if gyroscope.explained < _GYRO_EXPLAINED or gyroscope.hand == 0:
         return findings, None
