@@ -231,13 +231,6 @@ def printable_page(html: str) -> bytes:
 @cache
 def page_template(name: str) -> "Template":
     """Return a template of this folder, compiled once: that takes longer than to fill it in."""
-    import jinja2
+    from .templates import load_template
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_HERE),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(name)
+    return load_template(name)

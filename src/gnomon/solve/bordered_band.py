@@ -36,6 +36,7 @@ from .tied_band import TiedLayout
 Floats = NDArray[np.float64]
 
 
+_COLUMNS = 16  # that are folded at once: all of them would be a copy as large as the border
 _LOWER, _CHAIN, _TAIL = "lower", "chain", "tail"
 _OF_A_FACTOR = {_LOWER, _CHAIN}
 
@@ -446,7 +447,9 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
         lower = system.workspace.zeros(_LOWER, (ties.blocks, ties.size, ties.size))
         chain = system.workspace.zeros(_CHAIN, (ties.blocks, ties.size + p + q, ties.size))
         ties.gather(system.band, lower, chain)
-        chain[:, ties.size :] = np.swapaxes(ties.folded(system.tail), 1, 2)
+        for begin in range(0, p + q, _COLUMNS):
+            some = slice(begin, begin + _COLUMNS)
+            chain[:, ties.size :][:, some] = np.swapaxes(ties.folded(system.tail[:, :, some]), 1, 2)
         return lower, chain
     per_block = max(order - 1, 1)
     blocks, s = -(-n // per_block), per_block * d
