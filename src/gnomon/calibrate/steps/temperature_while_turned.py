@@ -76,10 +76,10 @@ def supported_order(range_k: float, step_k: float) -> int:
 
 
 def temperature_powers(degc: Floats, at_rest: Floats, step_k: float) -> Floats:
-    """Return what a bias may follow: temperature above the mean at rest [K], its rate [K/s], and higher powers [K^j].
+    """Return what a bias may follow: temperature above the mean at rest [K], rate [K/s], higher powers, both together.
 
     One power more than the range at rest supports: what is left of a curve would be in the other coefficients, and is
-    so in their sigmas.
+    so in their sigmas. Temperature times rate is what an error of the lag makes of a curve.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def temperature_powers(degc: Floats, at_rest: Floats, step_k: float) -> Floats:
     """
     d = degc[:, 0] - at_rest.mean()
     order = max(supported_order(float(np.ptp(at_rest)), float(np.nan_to_num(step_k))), 1)
-    return np.column_stack([d, degc[:, 1], *(d**power for power in range(2, order + 2))])
+    return np.column_stack([d, degc[:, 1], *(d**power for power in range(2, order + 2)), d * degc[:, 1]])
 
 
 def bias_polynomials(
@@ -113,7 +113,7 @@ def bias_polynomials(
     for triad in ("accelerometer", "gyroscope"):  # as the covariance lists them
         if triad in columns:
             spread = getattr(problem, triad).spread
-            slopes, _, *curves, _ = columns[triad]
+            slopes, _, *curves, _, _ = columns[triad]
             values[f"{triad}_bias"] = np.array([spread * fit.state.theta[at] for at in (slopes, *curves)])
             for at in (slopes, *curves):
                 rows.append(np.zeros((3, len(fit.free))))

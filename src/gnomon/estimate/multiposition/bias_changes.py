@@ -71,8 +71,8 @@ class RestMeans:
     rest : (m,) number of the static interval that each is of, ascending
     t_s, half_s : (m,) middle and half of the length [s]
     means, variance : (m, 3) and the variance that white noise gives them
-    degc : (m, k) temperature above a reference [K], its rate [K/s], which takes up what a thermometer's lag leaves, and
-        higher powers [K^j]; None where nothing tells its effect from that of the time
+    degc : (m, k) temperature above a reference [K], its rate [K/s], which takes up what a thermometer's lag leaves,
+        higher powers [K^j], and temperature times rate; None where nothing tells its effect from that of the time
     """
 
     rest: Integers
@@ -252,7 +252,7 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
     steps = shares_before(at.astype(np.float64), n)
     tau = np.array(DECAYS) * span
     decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
-    warmth = np.empty((n, 0)) if rests.degc is None else np.delete(rests.degc, 1, axis=1)
+    warmth = np.empty((n, 0)) if rests.degc is None else rests.degc[:, [0, *range(2, rests.degc.shape[1] - 1)]]
     parts = {"step": steps, "warm-up": decays, "temperature": warmth, "single": np.eye(n)}
     counts = [part.shape[1] for part in parts.values()]
     return _Candidates(

@@ -19,6 +19,8 @@ _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
 """Sigma of a step beforehand, scaled units: as of the biases themselves."""
 _WEAK_K, WEAK_LAG_S = 10.0, 100.0
 """Change of the temperature that is as weakly known to move a bias [K], and lag of the thermometer [s]."""
+LAG_LEFT_S = 2.0
+"""Of a thermometer's lag that was undone, or is too small to be told [s]."""
 BENDS_K = 50.0
 """Chips are made for some 125 K, over which their data sheets draw such curves as bend."""
 
@@ -123,10 +125,10 @@ def with_temperature(
     follows = {"gyroscope": gyroscope, "accelerometer": accelerometer}
     for (triad, slope), sensitivity in zip(USUAL_SLOPE.items(), sensitivities, strict=True):
         if follows[triad]:
-            kind = ("temperature", "warming", *["curve"] * (at_rest.shape[1] - 2))
+            kind = ("temperature", "warming", *["curve"] * (at_rest.shape[1] - 2))  # the last: both together
             weak = _WEAK[triad] / _WEAK_K * np.array([[1.0] * 3, [WEAK_LAG_S] * 3])
-            curves = [slope * sensitivity / BENDS_K**power for power in range(1, len(kind) - 1)]
-            sigma = np.concatenate([weak, np.reshape(curves, (-1, 3))])
+            curves = [slope * sensitivity / BENDS_K**power for power in range(1, len(kind) - 2)]
+            sigma = np.concatenate([weak, np.reshape(curves, (-1, 3)), [2 * LAG_LEFT_S * curves[0]]])
             function = BiasFunctions(at_rest=at_rest, in_motion=in_motion, kind=kind, sigma=sigma)
             data = replace(data, **{f"{triad}_functions": getattr(data, f"of_{triad}").beside(function)})
     return data
