@@ -56,6 +56,10 @@ _NAMES = {
 """Basalt's name of a camera -> its parameters beside focal lengths and principal point."""
 _PROJECTIONS: dict[str, ProjectionName] = {"ds": "ds", "eucm": "eucm", "ucm": "omni"}
 _DISTORTIONS: dict[str, DistortionName] = {"kb4": "equidistant", "pinhole-radtan8": "radtan"}
+_KINDS = {("pinhole", "none"): "pinhole", ("pinhole", "radtan5"): "pinhole-radtan8"}
+_KINDS |= {("pinhole", distortion): kind for kind, distortion in _DISTORTIONS.items()}
+_KINDS |= {(projection, "none"): kind for kind, projection in _PROJECTIONS.items()}
+"""Our names of a camera -> Basalt's."""
 
 
 def is_basalt(root: Node) -> bool:
@@ -306,39 +310,21 @@ def _pose_entry(camera: CameraCalibration) -> dict[str, float]:
 
 def _lens_entry(name: str, camera: Camera) -> dict[str, Any]:
     """Return a lens in Basalt's terms."""
-    shape, (fx, fy, cx, cy) = camera.intrinsics[:-4].tolist(), camera.intrinsics[-4:].tolist()
-    linear = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
-    match camera.projection, camera.distortion:
-        case "pinhole", "none":
-            return {"camera_type": "pinhole", "intrinsics": linear}
-        case "pinhole", "equidistant":
-            return {"camera_type": "kb4", "intrinsics": linear | _named("k1 k2 k3 k4", camera.distortion_coeffs)}
-        case "pinhole", "radtan" | "radtan5":
-            coeffs = np.zeros(8)
-            coeffs[: len(camera.distortion_coeffs)] = camera.distortion_coeffs
-            own = _named("k1 k2 p1 p2 k3 k4 k5 k6", coeffs)
-            limit = camera.distortion_limit
-            return {
-                "camera_type": "pinhole-radtan8",
-                "intrinsics": {**linear, **own, "rpmax": limit if limit < _NO_LIMIT else 0.0},
-            }
-        case "ds", "none":
-            return {"camera_type": "ds", "intrinsics": {**linear, "xi": shape[0], "alpha": shape[1]}}
-        case "eucm", "none":
-            return {"camera_type": "eucm", "intrinsics": {**linear, "alpha": shape[0], "beta": shape[1]}}
-        case "omni", "none" if shape[0] >= 0:  # Basalt divides by alpha rho + (1 - alpha) z, omni by xi rho + z
-            scale = 1 + shape[0]
-            return {
-                "camera_type": "ucm",
-                "intrinsics": {**linear, "fx": fx / scale, "fy": fy / scale, "alpha": shape[0] / scale},
-            }
-        case _:
-            knows = "Basalt knows pinhole with radtan, equidistant or no distortion, and ds, eucm and omni without"
-            raise unknown_lens(name, camera, knows)
-
-
-def _named(names: str, values: Floats) -> dict[str, float]:
-    return dict(zip(names.split(), values.tolist(), strict=True))
+    shape, linear = camera.intrinsics[:-4], camera.intrinsics[-4:]
+    kind = _KINDS.get((camera.projection, camera.distortion))
+    if kind is None or (kind == "ucm" and shape[0] < 0):
+        knows = "Basalt knows pinhole with radtan, equidistant or no distortion, and ds, eucm and omni without"
+        raise unknown_lens(name, camera, knows)
+    own = np.concatenate([shape, camera.distortion_coeffs])
+    own = np.append(own, np.zeros(len(_NAMES[kind]) - len(own)))  # of pinhole-radtan8 the last ones
+    if kind == "ucm":  # Basalt divides by alpha rho + (1 - alpha) z, omni by xi rho + z
+        scale = 1 + shape[0]
+        own, linear = own / scale, linear / [scale, scale, 1, 1]
+    values = dict(zip((*_LINEAR, *_NAMES[kind]), (*linear.tolist(), *own.tolist()), strict=True))
+    if kind == "pinhole-radtan8":
+        limit = camera.distortion_limit
+        values["rpmax"] = limit if limit < _NO_LIMIT else 0.0
+    return {"camera_type": kind, "intrinsics": values}
 
 
 def _losses(calibration: Calibration) -> Iterator[Loss]:

@@ -14,18 +14,18 @@ from ..recording import Floats
 from ..results.calibration import Calibration, CameraCalibration, ImuCalibration
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
 from .shared.baselines import inverse_pose
-from .shared.foreign_yaml import place_camera, read_lens, read_transform, required_value, stated_noise
+from .shared.foreign_yaml import noise_by_key, place_camera, read_lens, read_transform, required_value, stated_noise
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.si_units import si_conversions
 from .shared.structured import Node
-from .shared.yaml_text import opencv_lines
+from .shared.yaml_text import opencv_text
 
 _NOISE = {
-    "sigma_a_c": "accelerometer_noise_density",
-    "sigma_aw_c": "accelerometer_random_walk",
     "sigma_g_c": "gyroscope_noise_density",
+    "sigma_a_c": "accelerometer_noise_density",
     "sigma_gw_c": "gyroscope_random_walk",
+    "sigma_aw_c": "accelerometer_random_walk",
 }
 _DISTORTIONS: dict[str, DistortionName] = {
     "radialtangential": "radtan",
@@ -184,12 +184,7 @@ def _text(calibration: Calibration, name: str, imu: ImuCalibration, stated: Stat
     comments += f"# g: {calibration.gravity.source}\n"
     if stated.noise is None:
         comments += "# OKVIS also needs sigma_g_c, sigma_a_c, sigma_gw_c and sigma_aw_c: add them.\n"
-    return (
-        _HEAD.format(missing=_MISSING)
-        + context.comment()
-        + comments
-        + "".join(f"{line}\n" for line in opencv_lines(document))
-    )
+    return _HEAD.format(missing=_MISSING) + context.comment() + comments + opencv_text(document)
 
 
 def _camera_entry(name: str, calibrated: CameraCalibration) -> dict[str, Any]:
@@ -214,12 +209,7 @@ def _imu_entry(imu: ImuCalibration, stated: StatedImu) -> dict[str, Any]:
     biases: dict[str, Floats] = {conversion.triad: conversion.bias_si for conversion in si_conversions(imu)}
     entry: dict[str, Any] = {"use": True}
     if stated.noise is not None:
-        entry |= {
-            "sigma_g_c": stated.noise.gyroscope_noise_density,
-            "sigma_a_c": stated.noise.accelerometer_noise_density,
-            "sigma_gw_c": stated.noise.gyroscope_random_walk,
-            "sigma_aw_c": stated.noise.accelerometer_random_walk,
-        }
+        entry |= noise_by_key(stated.noise, _NOISE)
     if stated.update_rate_hz is not None:
         entry["imu_rate"] = float(stated.update_rate_hz)
     return entry | {

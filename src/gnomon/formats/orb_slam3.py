@@ -4,7 +4,6 @@ IMU.T_b_c1 (Tbc before) maps coordinates of the first camera to the IMU's, Stere
 the first's. There is no time shift.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,18 +14,26 @@ from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .kalibr.camchain import camera_baseline
 from .shared.baselines import inverse_pose
-from .shared.foreign_yaml import place_camera, read_lens, read_transform, required_value, stated_noise, whole_number
+from .shared.foreign_yaml import (
+    noise_by_key,
+    place_camera,
+    read_lens,
+    read_transform,
+    required_value,
+    stated_noise,
+    whole_number,
+)
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.si_units import si_conversions
 from .shared.structured import Node
-from .shared.yaml_text import opencv_lines, opencv_matrix
+from .shared.yaml_text import opencv_matrix, opencv_text
 
 _NOISE = {
-    "IMU.NoiseAcc": "accelerometer_noise_density",
-    "IMU.AccWalk": "accelerometer_random_walk",
     "IMU.NoiseGyro": "gyroscope_noise_density",
+    "IMU.NoiseAcc": "accelerometer_noise_density",
     "IMU.GyroWalk": "gyroscope_random_walk",
+    "IMU.AccWalk": "accelerometer_random_walk",
 }
 _POSES = ("IMU.T_b_c1", "Tbc")
 _STEREO = ("Stereo.T_c1_c2", "Tlr")
@@ -175,19 +182,15 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
         for number in range(1, len(cameras) + 1):
             rig |= {f"Camera{number}.overlappingBegin": 0, f"Camera{number}.overlappingEnd": last}
     rig |= {"Camera.width": first.camera.resolution[0], "Camera.height": first.camera.resolution[1]}
-    parts = [_HEAD, _IDEAL, shifts, context.comment(), comments, _joined(opencv_lines(rig))]
+    parts = [_HEAD, _IDEAL, shifts, context.comment(), comments, opencv_text(rig)]
     if others:
-        parts.append(_joined(opencv_matrix("Stereo.T_c1_c2", _second_to_first(first, others[0]), "f")))
-    parts.append(_joined(opencv_matrix("IMU.T_b_c1", inverse_pose(first.T_cam_body), "f")))
-    noise = dict(_noise_entries(stated))
+        parts.append(opencv_matrix("Stereo.T_c1_c2", camera_baseline(others[0], first), "f"))
+    parts.append(opencv_matrix("IMU.T_b_c1", inverse_pose(first.T_cam_body), "f"))
+    noise = {} if stated.noise is None else noise_by_key(stated.noise, _NOISE)
+    noise |= {} if stated.update_rate_hz is None else {"IMU.Frequency": float(stated.update_rate_hz)}
     if len(noise) < 5:
         parts.append("# ORB-SLAM3 also needs IMU.NoiseGyro, NoiseAcc, GyroWalk, AccWalk and Frequency: add them.\n")
-    return "".join([*parts, _joined(opencv_lines(noise))])
-
-
-def _second_to_first(first: CameraCalibration, second: CameraCalibration) -> np.ndarray:
-    """Return T_c1_c2 (4, 4), p_c1 = T_c1_c2 @ p_c2 [m]."""
-    return camera_baseline(second, first)
+    return "".join([*parts, opencv_text(noise)])
 
 
 def _type(name: str, camera: Camera) -> str:
@@ -199,18 +202,3 @@ def _type(name: str, camera: Camera) -> str:
 def _lens_entry(camera: Camera) -> dict[str, float]:
     linear = zip(("fx", "fy", "cx", "cy"), camera.intrinsics.tolist(), strict=True)
     return dict(linear) | dict(zip(_COEFFS[camera.distortion], camera.distortion_coeffs.tolist(), strict=True))
-
-
-def _noise_entries(stated: StatedImu) -> Iterator[tuple[str, float]]:
-    noise, rate_hz = stated.noise, stated.update_rate_hz
-    if noise is not None:
-        yield "IMU.NoiseGyro", noise.gyroscope_noise_density
-        yield "IMU.NoiseAcc", noise.accelerometer_noise_density
-        yield "IMU.GyroWalk", noise.gyroscope_random_walk
-        yield "IMU.AccWalk", noise.accelerometer_random_walk
-    if rate_hz is not None:
-        yield "IMU.Frequency", float(rate_hz)
-
-
-def _joined(lines: Iterator[str]) -> str:
-    return "".join(f"{line}\n" for line in lines)

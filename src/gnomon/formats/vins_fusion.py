@@ -5,7 +5,6 @@ needs the rate, which gnomon writes as update_rate and VINS' own files do not st
 """
 
 import re
-from collections.abc import Iterator
 from math import sqrt
 from os import PathLike
 from pathlib import Path
@@ -20,6 +19,7 @@ from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
+    noise_by_key,
     place_camera,
     read_foreign_yaml,
     read_lens,
@@ -35,12 +35,12 @@ from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.si_units import si_conversions
 from .shared.structured import Node
-from .shared.yaml_text import FIRST_LINE, opencv_lines, opencv_matrix
+from .shared.yaml_text import FIRST_LINE, opencv_matrix, opencv_text
 
 _NOISE_KEYS = {
     "acc_n": "accelerometer_noise_density",
-    "acc_w": "accelerometer_random_walk",
     "gyr_n": "gyroscope_noise_density",
+    "acc_w": "accelerometer_random_walk",
     "gyr_w": "gyroscope_random_walk",
 }
 _PINHOLE = ("fx", "fy", "cx", "cy")
@@ -146,32 +146,21 @@ def vins_lens(root: Node, topic: str) -> Camera:
     projection = keys["projection_parameters"]
     model = keys["model_type"].text(("PINHOLE", "KANNALA_BRANDT", "MEI"))
     if model == "KANNALA_BRANDT":
-        return read_lens(
-            root,
-            intrinsics=read_numbers(projection, ("mu", "mv", "u0", "v0")),
-            resolution=(width, height),
-            coeffs=read_numbers(projection, ("k2", "k3", "k4", "k5")),
-            distortion="equidistant",
-            topic=topic,
-        )
-    bent = read_numbers(required_value(keys, "distortion_parameters", root, "k1 k2 p1 p2"), _RADTAN)
-    if model == "PINHOLE":
-        return read_lens(
-            root,
-            intrinsics=read_numbers(projection, _PINHOLE),
-            resolution=(width, height),
-            coeffs=bent,
-            distortion="radtan",
-            topic=topic,
-        )
-    xi = read_numbers(required_value(keys, "mirror_parameters", root, "xi"), ("xi",))
+        coeffs = read_numbers(projection, ("k2", "k3", "k4", "k5"))
+        intrinsics = read_numbers(projection, ("mu", "mv", "u0", "v0"))
+    else:
+        coeffs = read_numbers(required_value(keys, "distortion_parameters", root, "k1 k2 p1 p2"), _RADTAN)
+        intrinsics = read_numbers(projection, _PINHOLE if model == "PINHOLE" else ("gamma1", "gamma2", "u0", "v0"))
+    if model == "MEI":
+        xi = read_numbers(required_value(keys, "mirror_parameters", root, "xi"), ("xi",))
+        intrinsics = np.concatenate([xi, intrinsics])
     return read_lens(
         root,
-        intrinsics=np.concatenate([xi, read_numbers(projection, ("gamma1", "gamma2", "u0", "v0"))]),
+        intrinsics=intrinsics,
         resolution=(width, height),
-        coeffs=bent,
-        distortion="radtan",
-        projection="omni",
+        coeffs=coeffs,
+        distortion="equidistant" if model == "KANNALA_BRANDT" else "radtan",
+        projection="omni" if model == "MEI" else "pinhole",
         topic=topic,
     )
 
@@ -233,7 +222,7 @@ def export(calibration: Calibration, context: Context) -> Export:
 def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], stated: StatedImu, context: Context) -> str:
     name, imu = next(iter(calibration.imus.items()))
     first = next(iter(cameras.values()))
-    noise = dict(_noise_entries(stated))
+    noise = _noise_entries(stated)
     lines = [line for conversion in si_conversions(imu) for line in conversion.lines()]
     comments = "".join(f"# {name}: {line}\n" for line in (*lines, *stated.comments))
     comments += f"# g_norm [m/s^2]: {calibration.gravity.source}\n"
@@ -249,24 +238,19 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
         "estimate_td": 0,
         "td": float(first.time_shift_cam_imu),
     }
-    parts = [FIRST_LINE, _HEAD, context.comment(), comments, _joined(opencv_lines(rig))]
+    parts = [FIRST_LINE, _HEAD, context.comment(), comments, opencv_text(rig)]
     for i, camera in enumerate(cameras.values()):
-        parts.append(_joined(opencv_matrix(f"body_T_cam{i}", inverse_pose(camera.T_cam_body), "d")))
+        parts.append(opencv_matrix(f"body_T_cam{i}", inverse_pose(camera.T_cam_body), "d"))
     parts.append(_NOISE_COMMENT if noise else "# VINS also needs acc_n, gyr_n, acc_w and gyr_w: add them.\n")
-    return "".join([*parts, _joined(opencv_lines(end))])
+    return "".join([*parts, opencv_text(end)])
 
 
-def _noise_entries(stated: StatedImu) -> Iterator[tuple[str, float]]:
-    """Yield the noise of a sample, which needs the rate."""
-    noise, rate_hz = stated.noise, stated.update_rate_hz
-    if noise is None or rate_hz is None:
-        return
-    root = sqrt(rate_hz)
-    yield "acc_n", noise.accelerometer_noise_density * root
-    yield "gyr_n", noise.gyroscope_noise_density * root
-    yield "acc_w", noise.accelerometer_random_walk * root
-    yield "gyr_w", noise.gyroscope_random_walk * root
-    yield "update_rate", float(rate_hz)
+def _noise_entries(stated: StatedImu) -> dict[str, float]:
+    """Return the noise of a sample, which needs the rate."""
+    if stated.noise is None or stated.update_rate_hz is None:
+        return {}
+    noise = noise_by_key(stated.noise, _NOISE_KEYS, sqrt(stated.update_rate_hz))
+    return noise | {"update_rate": float(stated.update_rate_hz)}
 
 
 def _lens_text(name: str, camera: Camera, context: Context) -> str:
@@ -274,7 +258,7 @@ def _lens_text(name: str, camera: Camera, context: Context) -> str:
     document: dict[str, Any] = {"camera_name": name, "image_width": width, "image_height": height}
     lens = _lens_entry(name, camera)
     head = "# Lens for VINS' camera models, made by gnomon. Pixel (0, 0) is the centre of the top-left pixel.\n"
-    return FIRST_LINE + head + context.comment() + _joined(opencv_lines({"model_type": lens[0], **document, **lens[1]}))
+    return FIRST_LINE + head + context.comment() + opencv_text({"model_type": lens[0], **document, **lens[1]})
 
 
 def _lens_entry(name: str, camera: Camera) -> tuple[str, dict[str, Any]]:
@@ -298,7 +282,3 @@ def _lens_entry(name: str, camera: Camera) -> tuple[str, dict[str, Any]]:
         case _:
             knows = "pinhole with radtan, equidistant or no distortion, and omni with radtan or none"
             raise unknown_lens(name, camera, f"VINS-Fusion knows {knows}")
-
-
-def _joined(lines: Iterator[str]) -> str:
-    return "".join(f"{line}\n" for line in lines)

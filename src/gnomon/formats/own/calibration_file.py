@@ -2,10 +2,11 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ...models.camera import Camera
 from ...models.forms import in_frame
 from ...models.frames import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...models.lens_names import DistortionName, ProjectionName
-from ...recording import Floats, Source
+from ...recording import Floats
 from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
@@ -35,9 +36,10 @@ from ...results.calibration import (
     covariance_names,
 )
 from ...results.sensors import TEMPERATURE_PARTS, TemperatureDependence
-from ...results.trust import VERDICTS, Need, QuantityChange, UncertaintySummary
+from ...results.trust import VERDICTS, Need, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
+from ..shared.typed_values import read_class, read_typed
 
 COMMENT = "comment"
 _SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
@@ -183,22 +185,27 @@ def camera_imu_entry(node: Node, cameras: tuple[str, ...]) -> CameraImuFit:
         If a key is missing or unknown, or a value is not as expected.
     """
     keys = node.mapping(("duration_s", "converged", "cameras"))
-    if not isinstance(keys["converged"].value, bool):
-        raise keys["converged"].fail("expected true or false.")
-    counts = ("frames_found", "frames_used", "corners_used")
-    entries = {
-        name: entry.mapping((*counts, "reprojection_rms_px"))
-        for name, entry in keys["cameras"].mapping(cameras).items()
-    }
-    found, used, corners = ({name: entry[count].integer() for name, entry in entries.items()} for count in counts)
+    counts, rms = ("frames_found", "frames_used", "corners_used"), ("reprojection_rms_px",)
     return CameraImuFit(
-        frames_found=found,
-        frames_used=used,
-        corners_used=corners,
-        reprojection_rms_px={name: _known(entry["reprojection_rms_px"]) for name, entry in entries.items()},
+        **_by_camera(keys["cameras"], cameras, {int: counts, float: rms}),
         duration_s=keys["duration_s"].number(),
-        converged=keys["converged"].value,
+        converged=read_typed(keys["converged"], bool),
     )
+
+
+def _by_camera(node: Node, cameras: tuple[str, ...], keys: Mapping[Any, tuple[str, ...]]) -> dict[str, Any]:
+    """Return, for each of the keys, camera -> value; `keys` are by the kind of their values, a float may be null."""
+    every = [key for names in keys.values() for key in names]
+    entries = {name: entry.mapping(every) for name, entry in node.mapping(cameras).items()}
+
+    def read(value: Node, kind: Any) -> Any:
+        return _known(value) if kind is float else read_typed(value, kind)
+
+    return {
+        key: {name: read(entry[key], kind) for name, entry in entries.items()}
+        for kind, names in keys.items()
+        for key in names
+    }
 
 
 def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
@@ -210,36 +217,13 @@ def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
         If a key is missing or unknown, or a value is not as expected.
     """
     keys = node.mapping(("converged", "board", "cameras"))
-    if not isinstance(keys["converged"].value, bool):
-        raise keys["converged"].fail("expected true or false.")
     board = keys["board"].mapping(("added", *BOARD_NUMBERS))
-    entries = {
-        name: entry.mapping((*VIEW_COUNTS, *VIEW_NUMBERS, "models"))
-        for name, entry in keys["cameras"].mapping(cameras).items()
-    }
-
-    def counts(key: str) -> dict[str, int]:
-        return {name: entry[key].integer() for name, entry in entries.items()}
-
-    def numbers(key: str) -> dict[str, float]:
-        return {name: _known(entry[key]) for name, entry in entries.items()}
-
+    kinds = {int: VIEW_COUNTS, float: VIEW_NUMBERS, tuple[str, ...]: ("models",)}
     return CamerasFit(
-        views_found=counts("views_found"),
-        views_used=counts("views_used"),
-        corners_used=counts("corners_used"),
-        reprojection_rms_px=numbers("reprojection_rms_px"),
-        holdout_rms_px=numbers("holdout_rms_px"),
-        coverage=numbers("coverage"),
-        models={name: tuple(item.text() for item in entry["models"].items()) for name, entry in entries.items()},
-        board_added=tuple(item.text() for item in board["added"].items()),
-        aspect=_known(board["aspect"]),
-        aspect_sigma=_known(board["aspect_sigma"]),
-        bow_m=_known(board["bow_m"]),
-        bow_sigma_m=_known(board["bow_sigma_m"]),
-        print_scale=_known(board["print_scale"]),
-        print_scale_sigma=_known(board["print_scale_sigma"]),
-        converged=keys["converged"].value,
+        **_by_camera(keys["cameras"], cameras, kinds),
+        **{name: _known(board[name]) for name in BOARD_NUMBERS},
+        board_added=read_typed(board["added"], tuple[str, ...]),
+        converged=read_typed(keys["converged"], bool),
     )
 
 
@@ -491,11 +475,10 @@ def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration], minor: 
 
 
 def _gravity(node: Node) -> Gravity:
-    keys = node.mapping(("value", "sigma", "source"))
-    sigma = keys["sigma"].number(finite=False)
-    if sigma < 0:
-        raise keys["sigma"].fail(f"found {sigma:g}, expected a standard deviation, zero or more.")
-    return Gravity(value=keys["value"].number(), sigma=sigma, source=keys["source"].text())
+    found = read_class(node, Gravity, own={"sigma": _endless})
+    if found.sigma < 0:
+        raise node.child("sigma").fail(f"found {found.sigma:g}, expected a standard deviation, zero or more.")
+    return found
 
 
 def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
@@ -591,50 +574,18 @@ def _common_assessment(keys: dict[str, Node]) -> Assessment:
 
 
 def _trust(node: Node) -> UncertaintySummary:
-    keys = node.mapping(
-        ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs"),
-        ("recordings", "between", "changes"),
-    )
-    return UncertaintySummary(
-        covariance=keys["covariance"].text(_COVARIANCES),  # pyright: ignore[reportArgumentType]
-        clusters=keys["clusters"].integer(),
-        cluster_s=keys["cluster_s"].number(),
-        sigma_ratio={item.key: item.number(finite=False) for item in keys["sigma_ratio"].entries()},
-        split_z=float("nan") if keys["split_z"].value is None else keys["split_z"].number(),
-        added=tuple(item.text() for item in keys["added"].items()),
-        tries=keys["tries"].integer(),
-        use=keys["use"].text(),
-        needs=tuple(_need(item) for item in keys["needs"].items()),
-        recordings=keys["recordings"].integer() if "recordings" in keys else 0,
-        between={item.key: item.number() for item in keys["between"].entries()} if "between" in keys else {},
-        changes=tuple(_change(item) for item in keys["changes"].items()) if "changes" in keys else (),
-    )
+    def ratios(node: Node) -> dict[str, float]:
+        return {item.key: _endless(item) for item in node.entries()}
+
+    def needs(node: Node) -> tuple[Need, ...]:
+        return tuple(read_class(item, Need, own={"sigma": _endless, "needed": _endless}) for item in node.items())
+
+    own = {"sigma_ratio": ratios, "split_z": _known, "needs": needs}
+    return read_class(node, UncertaintySummary, optional=("recordings", "between", "changes"), own=own)
 
 
-def _change(node: Node) -> QuantityChange:
-    keys = node.mapping(("block", "quantity", "sensor", "size", "sigma", "where"), ("at_s",))
-    return QuantityChange(
-        block=keys["block"].text(),
-        quantity=keys["quantity"].text(),
-        sensor=keys["sensor"].text(),
-        size=keys["size"].number(),
-        sigma=keys["sigma"].number(),
-        where=keys["where"].text(),
-        at_s=keys["at_s"].number() if "at_s" in keys else None,
-    )
-
-
-def _need(node: Node) -> Need:
-    keys = node.mapping(("block", "sigma", "needed", "unit", "verdict"), ("cure", "floor"))
-    return Need(
-        block=keys["block"].text(),
-        sigma=keys["sigma"].number(finite=False),
-        needed=keys["needed"].number(finite=False),
-        unit=keys["unit"].text(),
-        verdict=keys["verdict"].text(VERDICTS),  # pyright: ignore[reportArgumentType]
-        cure=keys["cure"].text() if "cure" in keys else "",
-        floor=keys["floor"].number() if "floor" in keys else 0.0,
-    )
+def _endless(node: Node) -> float:
+    return node.number(finite=False)
 
 
 def finding_entry(node: Node) -> Finding:
@@ -645,9 +596,7 @@ def finding_entry(node: Node) -> Finding:
     FormatError
         If the entry is none.
     """
-    keys = node.mapping(("severity", "code", "message"), ("consequence", "cure", "subject", "follows_from"))
-    keys["severity"].text(("good", "info", "warning", "problem"))
-    found = Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
+    found = read_class(node, Finding)
     before, said, cause = found.consequence.partition("It follows from: ")  # all that older files say of it
     return replace(found, follows_from=cause.rstrip(".")) if said and not (before or found.follows_from) else found
 
@@ -660,19 +609,4 @@ def provenance_entry(node: Node) -> Provenance:
     FormatError
         If the entry does not say.
     """
-    keys = node.mapping(("gnomon_version", "method", "inputs", "options"), ("seed",))
-    inputs = [item.mapping(("name", "sha256"), ("samples",)) for item in keys["inputs"].items()]
-    return Provenance(
-        gnomon_version=keys["gnomon_version"].text(),
-        method=keys["method"].text(),
-        inputs=tuple(
-            Source(
-                name=item["name"].text(),
-                sha256=item["sha256"].text(),
-                samples=tuple(one.text() for one in item["samples"].items()) if "samples" in item else (),
-            )
-            for item in inputs
-        ),
-        options={item.key: item.text() for item in keys["options"].entries()},
-        seed=keys["seed"].integer() if "seed" in keys else None,
-    )
+    return read_class(node, Provenance, optional=("seed",))

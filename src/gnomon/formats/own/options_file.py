@@ -3,14 +3,14 @@
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast, get_type_hints
 
 import numpy as np
 
 from ...errors import OptionError
 from ...options.requirements import QUANTITIES, Use, known_use, parse_sigma
 from ..shared.structured import Node, read_yaml
+from ..shared.typed_values import read_typed
 from ..shared.yaml_text import yaml_lines
 
 Options = TypeVar("Options")
@@ -32,45 +32,11 @@ def read_options(path: str | PathLike[str], kind: type[Options]) -> Options:
     root = read_yaml(path)
     types = get_type_hints(kind)
     names = [field.name for field in fields(kind)]  # pyright: ignore[reportArgumentType]
-    found = {name: _value(node, types[name]) for name, node in root.mapping(optional=names).items()}
+    found = {name: read_typed(node, types[name]) for name, node in root.mapping(optional=names).items()}
     try:
         return kind(**found)
     except OptionError as error:
         raise root.fail(str(error)) from None
-
-
-def _value(node: Node, kind: Any) -> Any:
-    """Return the value of a node as a type hint wants it."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin in {Union, UnionType}:
-        (wanted,) = (argument for argument in arguments if argument is not NoneType)
-        return None if node.value is None else _value(node, wanted)
-    if origin is Literal:
-        return _choice(node, arguments)
-    if origin is tuple:
-        return _tuple(node, arguments)
-    if kind is bool:
-        if not isinstance(node.value, bool):
-            raise node.fail(f"found {node.value!r}, expected true or false.")
-        return node.value
-    return {float: node.number, int: node.integer, str: node.text}[kind]()
-
-
-def _choice(node: Node, choices: tuple[Any, ...]) -> Any:
-    if all(isinstance(choice, str) for choice in choices):
-        return node.text(choices)
-    if node.integer() not in choices:
-        raise node.fail(f"found {node.value}, expected {' or '.join(map(str, choices))}.")
-    return node.value
-
-
-def _tuple(node: Node, kinds: tuple[Any, ...]) -> tuple[Any, ...]:
-    items = list(node.items())
-    if len(kinds) == 2 and kinds[1] is Ellipsis:
-        return tuple(_value(item, kinds[0]) for item in items)
-    if len(items) != len(kinds):
-        raise node.fail(f"found {len(items)} values, expected {len(kinds)}.")
-    return tuple(_value(item, wanted) for item, wanted in zip(items, kinds, strict=True))
 
 
 def options_text(options: Any) -> str:

@@ -335,6 +335,11 @@ def stated_noise(
         return None
 
 
+def noise_by_key(noise: ImuNoise, names: Mapping[str, str], factor: float = 1.0) -> dict[str, float]:
+    """Return a program's keys and numbers of the noise of an IMU, the way back of `stated_noise`."""
+    return {name: factor * getattr(noise, ours) for name, ours in names.items()}
+
+
 def unit_quaternion(node: Node, q_wxyz: Floats) -> Floats:
     """Return the rotation (3, 3) of a quaternion (4,) whose length is one but for rounding.
 

@@ -102,17 +102,21 @@ def _sorted(node: Mapping[str, Any]) -> dict[str, Any]:
 FIRST_LINE = "%YAML:1.0\n---\n"
 
 
-def opencv_lines(document: Mapping[str, Any], indent: str = "") -> Iterator[str]:
-    """Yield the lines of keys and values: texts, numbers, vectors, matrices, mappings and lists of mappings."""
+def opencv_text(document: Mapping[str, Any]) -> str:
+    """Return keys and values: texts, numbers, vectors, matrices, mappings and lists of mappings."""
+    return "".join(f"{line}\n" for line in _opencv_lines(document))
+
+
+def _opencv_lines(document: Mapping[str, Any], indent: str = "") -> Iterator[str]:
     for key, value in document.items():
         head = f"{indent}{key}:"
         if isinstance(value, Mapping):
             yield head
-            yield from opencv_lines(value, indent + "   ")
+            yield from _opencv_lines(value, indent + "   ")
         elif isinstance(value, list):
             yield head
             for item in value:
-                first, *others = opencv_lines(item)
+                first, *others = _opencv_lines(item)
                 yield f"{indent}   - {first}"
                 yield from (f"{indent}     {line}" for line in others)
         elif isinstance(value, np.ndarray):
@@ -123,8 +127,8 @@ def opencv_lines(document: Mapping[str, Any], indent: str = "") -> Iterator[str]
             yield f"{head} {yaml_scalar(value)}"
 
 
-def opencv_matrix(key: str, matrix: Floats, kind: str) -> Iterator[str]:
-    """Yield the lines of one of OpenCV's matrices.
+def opencv_matrix(key: str, matrix: Floats, kind: str) -> str:
+    """Return one of OpenCV's matrices.
 
     Parameters
     ----------
@@ -132,11 +136,8 @@ def opencv_matrix(key: str, matrix: Floats, kind: str) -> Iterator[str]:
     kind : "d" for double, "f" for float
     """
     rows, cols = matrix.shape
-    yield f"{key}: !!opencv-matrix"
-    yield from (f"   rows: {rows}", f"   cols: {cols}", f"   dt: {kind}")
-    for i, row in enumerate(matrix.tolist()):
-        numbers = ", ".join(map(yaml_scalar, row))
-        yield f"   {'data: [' if i == 0 else '       '}{numbers}{']' if i == rows - 1 else ','}"
+    numbers = ",\n          ".join(", ".join(map(yaml_scalar, row)) for row in matrix.tolist())
+    return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: {kind}\n   data: [{numbers}]\n"
 
 
 def yaml_flow(values: Floats) -> str:
