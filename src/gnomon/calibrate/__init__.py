@@ -18,12 +18,6 @@ if TYPE_CHECKING:
     from .turntable import calibrate_turntable
 
 _HOMES = {
-    "calibrate_camera_imu": "camera_imu",
-    "calibrate_cameras": "cameras",
-    "calibrate_imu": "imu",
-    "calibrate_magnetometer": "magnetometer",
-    "calibrate_temperature": "temperature",
-    "calibrate_turntable": "turntable",
     "identify_noise": "noise",
     "judge": "judging",
     "plan": "planning",
@@ -32,6 +26,7 @@ _HOMES = {
     "read_camera_views": "steps.camera_reading",
     "read_hardware": "planning",
 }
+"""Where what is not called `calibrate_` and the name of its module stands."""
 
 __all__ = [
     "calibrate_camera_imu",
@@ -51,6 +46,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:  # each recipe loads only what it needs
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module 'gnomon.calibrate' has no attribute '{name}'")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    return getattr(import_module(f".{_HOMES.get(name, name.removeprefix('calibrate_'))}", __name__), name)

@@ -116,23 +116,6 @@ def rk4n_steps(omega0: Floats, omega1: Floats, dt_s: Floats) -> Floats:
     return np.moveaxis(step, 0, -1)
 
 
-def first_order_steps(omega0: Floats, dt_s: Floats) -> Floats:
-    """Return the step quaternions of Eq. (2.12) for a rate that is constant over each step, (..., 4).
-
-    The first-order product of Eq. (2.15), kept as the baseline to which Tedaldi compares RK4n.
-
-    Parameters
-    ----------
-    omega0 : (..., 3) [rad/s]
-    dt_s : (...,) [s]
-    """
-    half_angle = 0.5 * np.linalg.norm(omega0, axis=-1) * dt_s
-    step = np.empty((*omega0.shape[:-1], 4))
-    step[..., 0] = np.cos(half_angle)
-    step[..., 1:] = (0.5 * np.asarray(dt_s) * np.sinc(half_angle / np.pi))[..., None] * omega0
-    return step
-
-
 _BLOCK = 16  # steps that are multiplied one after the other, in all blocks at once
 
 

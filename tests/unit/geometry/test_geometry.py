@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from gnomon.geometry.quaternion import (
-    first_order_steps,
     normalise_quaternion,
     quaternion_product,
     rk4n_steps,
@@ -78,26 +77,22 @@ def test_rk4n_is_the_printed_one(steps):
     np.testing.assert_allclose(found, rk4n_literally(ONE, rates, dt), atol=1e-14)
 
 
-def test_orders_of_the_integrators():
+def test_order_of_the_integrator():
     # The rate is linear between nine knots, as RK4n takes it between samples.
     knots = np.random.default_rng(5).normal(0, 2.0, (9, 3))
 
     def rate(t):
         return np.column_stack([np.interp(8 * t, np.arange(9), knots[:, axis]) for axis in range(3)])
 
-    def attitude(n, method):
+    def attitude(n):
         t = np.linspace(0, 1, n + 1)
-        if method == "rk4n":
-            steps = rk4n_steps(rate(t[:-1]), rate(t[1:]), np.diff(t))
-        else:  # Eq. (2.12) with the rate at the middle of the step
-            steps = first_order_steps(rate(0.5 * (t[1:] + t[:-1])), np.diff(t))
+        steps = rk4n_steps(rate(t[:-1]), rate(t[1:]), np.diff(t))
         return running_products(steps, np.array([n]))[-1]
 
-    truth = attitude(8192, "rk4n")
-    for method, order in (("rk4n", 4), ("first order", 2)):
-        errors = np.array([np.linalg.norm(attitude(n, method) - truth) for n in (16, 32, 64)])
-        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:]), order, atol=0.25)
-        assert errors[-1] > 1e-11
+    truth = attitude(8192)
+    errors = np.array([np.linalg.norm(attitude(n) - truth) for n in (16, 32, 64)])
+    np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:]), 4, atol=0.25)
+    assert errors[-1] > 1e-11
 
 
 @pytest.mark.parametrize("exponent", range(-20, 2))
@@ -109,22 +104,17 @@ def test_steps_in_high_precision(exponent):
         omega, dt = direction * angle / 0.01, 0.01
         half = [mpmath.mpf(w) * mpmath.mpf(dt) / 2 for w in omega]
         size = mpmath.sqrt(sum(h * h for h in half))
-        exact = [mpmath.cos(size), *(h * mpmath.sin(size) / size for h in half)]
         # Runge and Kutta's polynomial for a constant rate: the exponential cut after the fourth power
         series = [1 - size**2 / 2 + size**4 / 24, *(h * (1 - size**2 / 6) for h in half)]
         norm = mpmath.sqrt(sum(x * x for x in series))
-        for found, expected, scale in (
-            (first_order_steps(omega, np.array(dt)), exact, 1),
-            (rk4n_steps(omega, omega, np.array(dt)), series, norm),
-        ):
-            truth = np.array([float(x / scale) for x in expected])
-            np.testing.assert_allclose(found[0], truth[0], rtol=0, atol=4e-16)
-            np.testing.assert_allclose(found[1:], truth[1:], rtol=1e-13, atol=4e-16 * min(1, angle))
+        found = rk4n_steps(omega, omega, np.array(dt))
+        truth = np.array([float(x / norm) for x in series])
+        np.testing.assert_allclose(found[0], truth[0], rtol=0, atol=4e-16)
+        np.testing.assert_allclose(found[1:], truth[1:], rtol=1e-13, atol=4e-16 * min(1, angle))
 
 
 def test_steps_of_a_resting_sensor():
     np.testing.assert_array_equal(rk4n_steps(np.zeros(3), np.zeros(3), np.array(0.01)), ONE)
-    np.testing.assert_array_equal(first_order_steps(np.zeros(3), np.array(0.01)), ONE)
     np.testing.assert_array_equal(rk4n_steps(np.ones(3), np.ones(3), np.array(0.0)), ONE)
 
 

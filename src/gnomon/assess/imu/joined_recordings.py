@@ -36,7 +36,6 @@ _STRANGE, _STRANGE_SIGMAS = 6.0, 4.0
 _FEWEST_TO_JUDGE = 3
 _MOST_NAMED = 3
 _REPLACED = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope", "gravity")
-_PLACE = "[%d,%d]"
 
 
 @value_class

@@ -25,7 +25,6 @@ _SHARE, _NOTABLE = 0.05, 0.005  # of the squares that disturbances may add
 _LOST_SHARE, _LOST_MOST = 1e-3, 0.1
 _REPEATED = 0.2
 _COARSE = 0.5  # steps of the converter in a standard deviation
-_STUCK = 0.05
 
 
 def check_length(table: RestTable, sensor: str) -> None:
