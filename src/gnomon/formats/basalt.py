@@ -56,9 +56,12 @@ _NAMES = {
 """Basalt's name of a camera -> its parameters beside focal lengths and principal point."""
 _PROJECTIONS: dict[str, ProjectionName] = {"ds": "ds", "eucm": "eucm", "ucm": "omni"}
 _DISTORTIONS: dict[str, DistortionName] = {"kb4": "equidistant", "pinhole-radtan8": "radtan"}
-_KINDS = {("pinhole", "none"): "pinhole", ("pinhole", "radtan5"): "pinhole-radtan8"}
-_KINDS |= {("pinhole", distortion): kind for kind, distortion in _DISTORTIONS.items()}
-_KINDS |= {(projection, "none"): kind for kind, projection in _PROJECTIONS.items()}
+_KINDS = {
+    ("pinhole", "none"): "pinhole",
+    ("pinhole", "radtan5"): "pinhole-radtan8",
+    **{("pinhole", distortion): kind for kind, distortion in _DISTORTIONS.items()},
+    **{(projection, "none"): kind for kind, projection in _PROJECTIONS.items()},
+}
 """Our names of a camera -> Basalt's."""
 
 

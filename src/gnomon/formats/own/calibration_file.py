@@ -219,9 +219,10 @@ def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
     keys = node.mapping(("converged", "board", "cameras"))
     board = keys["board"].mapping(("added", *BOARD_NUMBERS))
     kinds = {int: VIEW_COUNTS, float: VIEW_NUMBERS, tuple[str, ...]: ("models",)}
+    numbers: dict[str, Any] = {name: _known(board[name]) for name in BOARD_NUMBERS}
     return CamerasFit(
         **_by_camera(keys["cameras"], cameras, kinds),
-        **{name: _known(board[name]) for name in BOARD_NUMBERS},
+        **numbers,
         board_added=read_typed(board["added"], tuple[str, ...]),
         converged=read_typed(keys["converged"], bool),
     )
