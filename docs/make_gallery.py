@@ -193,18 +193,9 @@ def _text(entry: Entry) -> Iterator[str]:
 
 
 def _quoted(finding: Finding) -> str:
-    section = _section_of(finding.code)
-    code = f"[`{finding.code}`](symptoms.md#{section})" if section else f"`{finding.code}`"
+    code = f"[`{finding.code}`](symptoms.md#code-{finding.code})"
     cure = f" **{finding.cure}**" if finding.cure else ""
     return _wrapped(f"> {finding.severity}, {code}: {finding.message} {finding.consequence}{cure}")
-
-
-def _section_of(code: str) -> str:
-    """Return the anchor of the section of docs/symptoms.md that explains a code; "" where none does."""
-    for part in (DOCS / "symptoms.md").read_text(encoding="utf-8").split("\n## ")[1:]:
-        if re.search(rf"^- \*\*.*`{re.escape(code)}`", part, re.MULTILINE):
-            return _anchor(part.partition("\n")[0])
-    return ""
 
 
 def _anchor(title: str) -> str:

@@ -203,8 +203,10 @@ def _symptoms_page() -> str:
             parts.append(_wrapped(text) if text.startswith("- ") else f"\n{text}\n")
         if "when" in entry:
             codes = [entry["code"].partition("/")[0], *entry.get("together", [])]
-            names = ", ".join(f"**`{code}`**" for code in codes)
-            parts.append(_wrapped(f"- {names} ({entry['when']}): {entry['explained']}"))
+            names = ", ".join(f'<a\0id="code-{code}"></a>**`{code}`**' for code in codes)
+            beyond = "" if entry.get("in_sigmas", True) else "; *not in the sigmas*"
+            item = _wrapped(f"- {names} ({entry['when']}{beyond}): {entry['explained']}")
+            parts.append(item.replace("\0", " "))  # no line ends within a tag
     return re.sub("\n{3,}", "\n\n", "\n".join(parts)).strip("\n") + "\n"
 
 

@@ -19,6 +19,7 @@ from gnomon.calibrate.steps import board_reading
 from gnomon.cli.catalogue import COMMANDS, parse_command
 from gnomon.cli.commands.convert import RecordingForm
 from gnomon.cli.commands.study import PAGE, STUDIES
+from gnomon.findings import read_catalogue
 from gnomon.formats.conversion import FORMATS
 from gnomon.formats.kalibr import camchain
 from gnomon.formats.kalibr import target as kalibr_target
@@ -26,7 +27,7 @@ from gnomon.formats.own.calibration_file import SIGMAS
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.own.noise_file import allan_text, noise_document
 from gnomon.formats.own.options_file import read_use
-from gnomon.options.requirements import QUANTITIES, USES, parse_sigma
+from gnomon.options.requirements import GENERAL, GENERAL_IMU, GENERAL_RIG, QUANTITIES, USES, parse_sigma
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.samples.npz import __doc__ as npz_keys
@@ -266,9 +267,27 @@ def test_every_need_of_every_use_is_documented():
         [cell.strip(" `") for cell in line.split("|")[1:-1]] for line in re.findall(r"^\| .*", section, re.M)
     ]
     written = {use: {row[0]: row[i] for row in rows if row[i]} for i, use in enumerate(head) if i}
-    assert {row[0] for row in rows} == {*QUANTITIES}
+    assert [row[0] for row in rows] == [*QUANTITIES]
+    assert [row[0] for row in rows][:5] == [*GENERAL_RIG.needs]
     known = {name: {q: parse_sigma(q, words) for q, words in needs.items()} for name, needs in written.items()}
-    assert known == {name: {q: pytest.approx(size) for q, size in use.needs.items()} for name, use in USES.items()}
+    uses = {name: use.needs for name, use in USES.items()} | {GENERAL: {**GENERAL_RIG.needs, **GENERAL_IMU.needs}}
+    assert known == {name: {q: pytest.approx(size) for q, size in needs.items()} for name, needs in uses.items()}
+
+
+def test_the_warnings_whose_error_is_not_in_the_sigmas_are_listed():
+    entries = [entry for entry in read_catalogue() if "when" in entry]
+    beyond = [entry for entry in entries if not entry.get("in_sigmas", True)]
+    assert all("warning" in entry["when"] for entry in beyond)
+    page = text("how-to/trust/what-does-warn-mean.md")
+    listed = re.findall(r"\[`([\w-]+)`\]", page.split("All of them:")[1].split("\n## ")[0])
+    assert listed == [entry["code"].partition("/")[0] for entry in beyond]
+    says = re.compile(
+        "larger than the (stated )?sigmas|off by more than (their|its) sigmas|sigmas? comes? out too small"
+    )
+    told = {entry["code"] for entry in entries if says.search(f"{entry['explained']} {entry.get('consequence', '')}")}
+    warned = {entry["code"] for entry in entries if "warning" in entry["when"]}
+    assert len(told & warned) > 4
+    assert told & warned <= {entry["code"] for entry in beyond}
 
 
 def test_the_example_of_needs_can_be_read(tmp_path):
@@ -330,6 +349,7 @@ def test_links_lead_somewhere(page):
         if anchor:
             titles = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
             anchors = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+            anchors |= set(re.findall(r'<a id="([\w-]+)"></a>', path.read_text(encoding="utf-8")))
             assert anchor in anchors, f"{page.name}: {target}"
 
 
