@@ -38,7 +38,7 @@ def applied(folder, name, *options):
 def test_apply_needs_no_options_again(folder, capsys):
     code, kept = applied(folder, "log.txt")
     assert code == 0
-    assert "columns gx gy gz ax ay az, rate_hz 100.0, units g deg/s" in capsys.readouterr().err
+    assert "--columns gx gy gz ax ay az, --rate 100.0, --units g deg/s" in capsys.readouterr().err
     _, stated = applied(folder, "log.txt", "--columns", COLUMNS, "--rate", "100", "--units", "g deg/s")
     assert all(np.array_equal(kept[name], stated[name]) for name in stated.dtype.names)
     force = np.stack([kept[name] for name in kept.dtype.names if name.startswith("a") or "force" in name], axis=1)

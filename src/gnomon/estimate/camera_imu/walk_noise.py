@@ -51,13 +51,20 @@ def walk_sums(trajectory: Trajectory, walks: tuple[tuple[float, float], ...]) ->
 def add_walk_probes(
     system: BorderedBand, trajectory: Trajectory, walks: tuple[tuple[float, float], ...], first: int
 ) -> None:
-    """Put random signs of all steps among the right-hand sides, from `first` on, `PROBES` for each triad's walk."""
+    """Put random signs of all steps among the right-hand sides, from `first` on, `PROBES` for each triad's walk.
+
+    A step is from bend to bend: where biases bend at every (order - 1)-th knot only, the links between share its sign.
+    """
     rng = np.random.default_rng(2000)
+    grid = trajectory.grid
+    links = grid.order - 1 if grid.tied else 1
     for triad, walk in enumerate(np.ravel(walks)):
         scalars = slice(POSE + TRIAD * triad, POSE + TRIAD * (triad + 1))
         side = slice(first + PROBES * triad, first + PROBES * (triad + 1))
-        for a, distance, time_s in random_walk_links(trajectory.grid):
-            signs = (2.0 * rng.integers(0, 2, (len(a), TRIAD, PROBES)) - 1.0) / (walk * np.sqrt(time_s))
+        for a, distance, time_s in random_walk_links(grid):
+            step = (a - grid.bias_offset) // links
+            signs = 2.0 * rng.integers(0, 2, (step[-1] - step[0] + 1, TRIAD, PROBES)) - 1.0
+            signs = signs[step - step[0]] / (walk * np.sqrt(links * time_s))
             system.rhs[a + distance, scalars, side] += signs
             system.rhs[a, scalars, side] -= signs
 
