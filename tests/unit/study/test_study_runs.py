@@ -71,7 +71,8 @@ def test_progress_tells_what_was_done_before():
     tasks = [Task(seed=k) for k in range(5)]
     carry_out(drawn, tasks[:2], workers=Workers(journal=journal))
     carry_out(drawn, tasks, workers=Workers(journal=journal), progress=told.append, name="test")
-    assert told == ["test: 2 of 5 were done before and are taken over", *(f"test: {done} of 5" for done in (2, 3, 4, 5))]
+    counted = [f"test: {done} of 5" for done in (2, 3, 4, 5)]
+    assert told == ["test: 2 of 5 were done before and are taken over", *counted]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
