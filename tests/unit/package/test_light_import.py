@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ("numpy", "scipy", "matplotlib", "jinja2", "yaml", "cattrs", "rich")
+HEAVY = ("numpy", "scipy", "scipy.stats", "matplotlib", "jinja2", "yaml", "cattrs", "rich")
 
 
 def loaded_after(code):
@@ -26,12 +26,14 @@ def test_help_needs_no_numbers(arguments, needed):
     assert loaded_after(f"from gnomon.cli import main\nassert main({arguments!r}) == 0") == needed
 
 
-def test_calibrating_needs_neither_scipy_nor_matplotlib(tmp_path):
+def test_calibrating_and_converting_need_neither_scipy_nor_matplotlib(tmp_path):
     loaded = loaded_after(
         "import gnomon\n"
         "from gnomon.cli import main\n"
         f"assert main(['simulate', '-o', {str(tmp_path / 'r.npz')!r}, '--intervals', '20']) == 0\n"
-        f"assert main(['imu', {str(tmp_path / 'r.npz')!r}, '--no-report']) == 0"
+        f"assert main(['imu', {str(tmp_path / 'r.npz')!r}, '-o', {str(tmp_path / 'out')!r}, '--no-report']) == 0\n"
+        f"result = {str(tmp_path / 'out' / 'calibration.yaml')!r}\n"
+        f"assert main(['convert', result, '--to', 'px4', '-o', {str(tmp_path / 'imu.params')!r}]) == 0"
     )
     assert "numpy" in loaded
     assert not {"scipy", "matplotlib", "jinja2", "rich"} & set(loaded)
@@ -45,3 +47,7 @@ def test_every_public_name_is_there():
     assert callable(gnomon.simulate)
     with pytest.raises(AttributeError, match="nothing_like_this"):
         _ = gnomon.nothing_like_this
+
+
+def test_a_rig_needs_no_statistics_of_scipy():
+    assert "scipy.stats" not in loaded_after("import gnomon.calibrate.camera_imu")

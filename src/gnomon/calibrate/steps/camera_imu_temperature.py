@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from ...assess.imu.bias_steps import slope_finding
 from ...estimate.camera_imu.result.bias_temperature import biases_along, control_times
@@ -40,6 +39,8 @@ def biases_over_temperature(
     course = temperature_course(samples) if samples is not None and rose_and_fell(samples) else None
     if course is None or sensor.accelerometer is None or sensor.gyroscope is None:
         return calibration, []
+    from scipy.special import chdtrc  # on demand  # pyright: ignore[reportMissingTypeStubs]
+
     grid = solution.state.trajectory.grid
     t_ns = origin_ns + np.round(1e9 * control_times(grid)).astype(np.int64)
     degc = course.with_rate(t_ns)
@@ -59,7 +60,7 @@ def biases_over_temperature(
             (found.ravel()[at], covariance[np.ix_(at, at)] * _widened(certain, scalars)) for found, covariance in each
         ]
         values, own = min(told, key=lambda one: one[0][:3] @ np.linalg.solve(one[1][:3, :3], one[0][:3]))
-        if chi2.sf(float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3])), 3) < _LIKELY:
+        if chdtrc(3, float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3]))) < _LIKELY:
             known = replace(known, **{f"{triad}_bias": values.reshape(-1, 3)})
             blocks[f"{triad}_bias"] = own
     if not blocks:

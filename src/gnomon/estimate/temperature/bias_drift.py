@@ -17,7 +17,6 @@ from typing import Self
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from ...frozen import value_class
 from ...recording import Floats
@@ -207,6 +206,8 @@ def choose_order(problem: DriftProblem, axes: Sequence[int], most: int, variance
     most : the highest order that the range supports
     variances : of each of the axes
     """
+    from scipy.special import chdtrc  # on demand  # pyright: ignore[reportMissingTypeStubs]
+
     pairs = list(zip(axes, variances, strict=True))
     order = 0
     for higher in range(1, most + 1):
@@ -215,7 +216,7 @@ def choose_order(problem: DriftProblem, axes: Sequence[int], most: int, variance
         by_lag = np.array([drift.by_lag[-1] for drift in drifts])
         covariance = np.outer(by_lag, by_lag)
         np.fill_diagonal(covariance, [drift.covariance[-1, -1] for drift in drifts])
-        if chi2.sf(float(last @ scaled_inverse(covariance) @ last), len(axes)) > _LIKELY:
+        if chdtrc(len(axes), float(last @ scaled_inverse(covariance) @ last)) > _LIKELY:
             continue
         if len(problem.warm_ups) > 1:
             before, after = (

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from ...frozen import value_class
 from ...recording import Floats
@@ -95,11 +94,13 @@ def proven_order(recorded: Calibrations, most: int) -> int:
 
 def _proven(recorded: Calibrations, order: int) -> bool:
     """Return whether the coefficients of the highest order are no chance, and of use."""
+    from scipy.special import chdtrc  # on demand  # pyright: ignore[reportMissingTypeStubs]
+
     found = recorded.fit(dict.fromkeys(recorded.blocks, order))
     places = found.start[:-1] + order
     last = found.coefficients[places]
     size = float(last @ np.linalg.solve(found.covariance[np.ix_(places, places)], last))
-    if chi2.sf(size, len(last)) > _LIKELY:
+    if chdtrc(len(last), size) > _LIKELY:
         return False
     if not recorded.can_leave_out(order):
         return True

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import InitialisationError, OptionError
-from ...estimate.cameras.first_lens import fit_lens_model
 from ...findings import join_names
 from ...frozen import value_class
 from ...models.camera import Camera
@@ -178,6 +177,8 @@ def _nearest(calibration: Calibration, name: str, to: str) -> Refit:
 
 def _refit(lens: Camera, model: str, pixels: Floats, rays: Floats, area: float) -> Refit | None:
     """Return the lens of another model that is nearest, None where it cannot see the rays."""
+    from ...estimate.cameras.first_lens import fit_lens_model
+
     try:
         other = fit_lens_model(lens, model, pixels)
     except InitialisationError:
