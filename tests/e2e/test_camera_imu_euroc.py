@@ -116,6 +116,7 @@ def test_euroc_baseline(euroc, options):
     assert degrees_between(published[:3, :3], baseline[:3, :3]) < 0.1
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize("camera", ["cam0", "cam1"])
 def test_parts_of_euroc_agree_as_the_sigmas_say(euroc_recording, camera):

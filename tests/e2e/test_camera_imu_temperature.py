@@ -50,6 +50,6 @@ def test_biases_follow_the_temperature_that_rose_and_fell(tmp_path):
     assert np.allclose(read.uncertainty.matrix, calibration.uncertainty.matrix, rtol=1e-12, atol=0)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_drift_with_the_time_before_a_camera_is_no_slope():
     assert calibrated(601, "time", SLOPES)[1].imus["imu0"].temperature is None

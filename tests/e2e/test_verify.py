@@ -58,6 +58,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.first(6)
 @pytest.mark.parametrize("path", CHANGES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_number_that_moved_is_named_with_its_size(path, seed):
