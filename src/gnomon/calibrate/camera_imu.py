@@ -69,7 +69,7 @@ from .steps.camera_imu_preparation import (
     refuse_clock_jumps,
     with_looks,
 )
-from .steps.camera_imu_temperature import BiasesOverTemperature, at_reference, biases_over_temperature
+from .steps.camera_imu_temperature import BiasesOverTemperature, without_slopes, biases_over_temperature
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 
@@ -125,7 +125,7 @@ def _calibrated(  # noqa: PLR0917
     recording, copied = without_copies(recording)
     prepared = prepare_camera_imu(recording, target, options)
     if told is not None:
-        prepared = at_reference(prepared, recording, told)
+        prepared = without_slopes(prepared, recording, told)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
     used = [finding for one in known for finding in prior_used(one)]

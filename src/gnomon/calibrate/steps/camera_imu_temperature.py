@@ -45,7 +45,9 @@ class BiasesOverTemperature:
         return replace(calibration, assessment=replace(assessed, findings=(*assessed.findings, *findings)))
 
 
-def at_reference(prepared: PreparedCameraImu, recording: Recording, known: TemperatureDependence) -> PreparedCameraImu:
+def without_slopes(
+    prepared: PreparedCameraImu, recording: Recording, known: TemperatureDependence
+) -> PreparedCameraImu:
     """Return the readings without what the biases of the first IMU do with the temperature."""
     course = _course(recording)
     assert course is not None
