@@ -69,7 +69,7 @@ from .steps.camera_imu_preparation import (
     refuse_clock_jumps,
     with_looks,
 )
-from .steps.camera_imu_temperature import BiasesOverTemperature, without_slopes, biases_over_temperature
+from .steps.camera_imu_temperature import BiasesOverTemperature, biases_over_temperature, without_slopes
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 
