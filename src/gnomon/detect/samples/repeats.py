@@ -49,7 +49,8 @@ def repeated_stretches(values: Floats, other: Floats | None = None) -> list[Repe
     at_other, others = (at, readings) if other is None else _changes(other)
     if min(len(readings), len(others)) < _LENGTH:
         return []
-    hashes, hashes_other = _stretch_hashes(_row_hashes(readings)), _stretch_hashes(_row_hashes(others))
+    hashes = _stretch_hashes(_row_hashes(readings))
+    hashes_other = hashes if other is None else _stretch_hashes(_row_hashes(others))
     offsets = _offsets(hashes, hashes_other, same=other is None)
     found = [run for offset in offsets for run in _runs(readings, others, offset)]
     ends, ends_other = np.append(at, len(values)), np.append(at_other, len(values if other is None else other))
@@ -145,9 +146,13 @@ def _offsets(hashes: _Hashes, others: _Hashes, *, same: bool) -> list[int]:
     """Return by how much copies are shifted, the most frequent first; every 64th stretch is looked for."""
     anchors = np.arange(0, len(hashes), _LENGTH)
     unique, first = np.unique(hashes[anchors], return_index=True)
-    place = np.minimum(np.searchsorted(unique, others), len(unique) - 1)
-    hits = np.flatnonzero(unique[place] == others)
-    shift = hits - anchors[first[place[hits]]]
+    ends = np.zeros(1 << 16, dtype=bool)  # of the hashes: most are told apart by them
+    ends[unique & 0xFFFF] = True
+    hits = np.flatnonzero(ends[others & 0xFFFF])
+    place = np.minimum(np.searchsorted(unique, others[hits]), len(unique) - 1)
+    same_hash = unique[place] == others[hits]
+    hits = hits[same_hash]
+    shift = hits - anchors[first[place[same_hash]]]
     if same:
         shift = shift[shift >= _LENGTH]
     values, counts = np.unique(shift, return_counts=True)
