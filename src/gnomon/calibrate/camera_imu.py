@@ -33,7 +33,12 @@ from ..estimate.camera_imu.layout import Status
 from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
 from ..estimate.camera_imu.result.publish import publish_rig
 from ..estimate.camera_imu.result.recording_trust import recording_trust
-from ..estimate.camera_imu.result.uncertainty import Uncertainty, solution_uncertainty, with_detector_scale
+from ..estimate.camera_imu.result.uncertainty import (
+    Uncertainty,
+    solution_uncertainty,
+    with_detector_scale,
+    with_next_term,
+)
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
@@ -189,6 +194,8 @@ def _with_uncertainty(
     sums = chosen.sums if options.covariance == "robust" else None
     certain = solution_uncertainty(solution, candidate_blocks(start), sums)
     certain = with_detector_scale(certain, solution.state.parameters, detectors)
+    if sums is not None:
+        certain = with_next_term(certain, solution)
     return _with_origins(solution, certain, estimation_choices(start, options).status)
 
 
