@@ -30,7 +30,7 @@ from ...results.trust import ParameterChange
 from ...solve.arrow import reduced_normal_equations
 from .fit import GATE_SIGMA, MultiPositionFit, sum_of_squares
 from .model import CG_, normal_equations
-from .noise_levels import redundancies, rotation_variance
+from .noise_levels import residual_freedom, rotation_variance
 from .scaling import with_runs
 
 _CHANCE = 0.005  # that a recording in which nothing changed is said to have changed
@@ -196,7 +196,7 @@ class _Problem:
         gained = lowered + float(right[:q] @ solved[:, 0])
         by_change, across = np.moveaxis(solved[:, 1:].reshape(q, -1, 3), 1, 0), matrix[:q, q:].reshape(q, -1, 3)
         own = matrix[of_change[:, :, None], of_change[:, None, :]] - np.einsum("qki,kqj->kij", across, by_change)
-        rests, _, rotations = redundancies(lines, fit.arrow, whitening, fit.free)
+        rests, _, rotations = residual_freedom(lines, fit.arrow, whitening, fit.free)
         if cause.triad == "gyroscope":
             left, freedom = whitening.rotation[:, None] * lines.rotation, float(rotations[kept].sum())
             known = float(np.mean(noise[kept] * whitening.rotation[kept] ** 2))
