@@ -288,7 +288,7 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
 
 
 def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
-    """Return a finding where stretches of samples occur twice, bit by bit; nothing where none does."""
+    """Return a finding where stretches of samples occur twice; nothing where none does."""
     repeats = repeated_stretches(samples.values)
     copies = np.zeros(len(samples), dtype=bool)
     for repeat in repeats:

@@ -310,7 +310,7 @@ def refuse_same_data(recordings: Sequence[Recording], names: Sequence[str]) -> N
         if shared and one is not None and other is not None:
             count = sum(repeat.first_stop - repeat.first for repeat in shared)
             raise RecordingError(
-                f"{names[i]} and {names[j]} share {count} samples, bit by bit: those of {names[i]} from "
+                f"{names[i]} and {names[j]} share {count} samples: those of {names[i]} from "
                 f"{one.t_s[shared[0].first]:.2f} s on are those of {names[j]} from {other.t_s[shared[0].second]:.2f} s "
                 "on. They would count twice. Leave one recording out, or cut what they share out of one."
             )

@@ -1,4 +1,7 @@
-"""Stretches of samples that occur twice, bit by bit: a file appended to itself, or two that share a part.
+"""Stretches of samples that occur twice: a file appended to itself, or two that share a part.
+
+Copies that were written with other decimals differ by less than samples do: readings are compared in steps of half of
+what the smallest tenth of all changes is.
 
 Sensors repeat single readings by chance, and at rest, coarsely quantised, they do so all the time. Readings that do not
 change are therefore counted once, and a stretch counts from 64 changes in succession on, between at least 32 different
@@ -13,6 +16,7 @@ from ...recording import Floats, Integers
 
 _LENGTH = 64  # successive different readings
 _DISTINCT = 32  # of them
+_SMALL = 0.1  # quantile of changes
 _MOST_OFFSETS = 16
 _MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
 _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
@@ -45,8 +49,9 @@ def repeated_stretches(values: Floats, other: Floats | None = None) -> list[Repe
     values : (n, 3)
     other : (m, 3) in which copies are looked for; in `values` itself where not given
     """
-    at, readings = _changes(values)
-    at_other, others = (at, readings) if other is None else _changes(other)
+    step = _coarseness(values)
+    at, readings = _changes(_in_steps(values, step))
+    at_other, others = (at, readings) if other is None else _changes(_in_steps(other, step))
     if min(len(readings), len(others)) < _LENGTH:
         return []
     hashes = _stretch_hashes(_row_hashes(readings))
@@ -70,15 +75,18 @@ class RepeatWatch:
     """Looks for stretches that occur twice in samples that come block by block, in memory that does not grow."""
 
     def __init__(self) -> None:
-        self._readings, self._t_s = np.empty((0, 3)), np.empty(0)  # not yet looked for
+        self._readings, self._t_s = np.empty((0, 3)), np.empty(0)  # not yet looked for, in steps
+        self._step: Floats | None = None
         self._hashes, self._at_s = np.empty(0, np.uint64), np.empty(0)  # of stretches seen, in the order of the hashes
         self._every, self._stretches = _LENGTH, 0
         self._found: list[Floats] = []  # when a stretch begins, and when it did before [s]
 
     def add(self, values: Floats, t_s: Floats) -> None:
         """Take the next samples (n, 3) and when they were measured (n,) [s]."""
+        if self._step is None:
+            self._step = _coarseness(values)
         before = self._readings[-1:]
-        at, readings = _changes(np.concatenate([before, values]))
+        at, readings = _changes(np.concatenate([before, _in_steps(values, self._step)]))
         at, readings = at[len(before) :], readings[len(before) :]
         self._readings = np.concatenate([self._readings, readings])
         self._t_s = np.concatenate([self._t_s, t_s[at - len(before)]])
@@ -113,6 +121,16 @@ class RepeatWatch:
         distances, count = np.unique(back, return_counts=True)
         share = len(found) * self._every / max(self._stretches, 1)
         return found[back == distances[np.argmax(count)]], min(share, 1.0)
+
+
+def _coarseness(values: Floats) -> Floats:
+    """Return steps (3,) in which readings are compared."""
+    changes = [np.abs(column[column != 0]) for column in np.diff(values, axis=0).T]
+    return np.array([np.quantile(change, _SMALL) / 2 if len(change) else 1.0 for change in changes])
+
+
+def _in_steps(values: Floats, step: Floats) -> Floats:
+    return np.round(values / step) + 0.0  # no negative zeros, whose bits differ
 
 
 def _changes(values: Floats) -> tuple[Integers, Floats]:
@@ -163,7 +181,8 @@ def _runs(readings: Floats, others: Floats, offset: int) -> list[tuple[int, int,
     """Return start and number of the readings that are repeated at an offset, and the offset."""
     start = max(0, -offset)
     count = min(len(readings) - start, len(others) - start - offset)
-    alike = (readings[start : start + count] == others[start + offset : start + offset + count]).all(axis=1)
+    apart = np.abs(readings[start : start + count] - others[start + offset : start + offset + count])
+    alike = np.asarray((apart <= 1).all(axis=1), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alike.view(np.int8), [0]])))
     runs = [(start + int(a), int(b - a), offset) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [
