@@ -1,6 +1,7 @@
 """Guided capture, measured without hardware: a simulated hand, a pseudo-terminal, planted faults, kills.
 
-    python benchmarks/live.py hand --seeds 100 200      rests that guidance needs, and whether the result holds
+    python benchmarks/live.py hand --seeds 100 200      rests that guidance needs, and whether the result holds;
+                                                        it goes on where it was stopped, with `--keep FILE`
     python benchmarks/live.py serial --seconds 600      a pseudo-terminal at 1 kHz
     python benchmarks/live.py faults                    planted faults and healthy captures
     python benchmarks/live.py setup                     what is wrong with camera and IMU together, named early
@@ -28,11 +29,12 @@ import time
 from collections import Counter
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from urllib.request import urlopen
 
 import numpy as np
+from live_cameras import GREY, STATISTICS, views_of
 
 import gnomon
 from gnomon.assess.needs import needs_of_use
@@ -40,8 +42,8 @@ from gnomon.live.hand import SimulatedHand, imu_sentence
 from gnomon.live.image_sources import ImageArrival, ImageSource
 from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.prospect import look_ahead
-from gnomon.live.rig_session import RigSession
-from gnomon.live.session import LiveSession
+from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
+from gnomon.live.session import LOOK_S, LiveSession
 from gnomon.live.sources import LiveSource, open_source
 from gnomon.live.trials import check_setup
 from gnomon.options.requirements import USES
@@ -51,6 +53,7 @@ from gnomon.simulate.images.board_images import simulated_images
 
 TUTORIAL = 36
 LONGEST_S = 400.0
+TRIAL_S = 1.0  # that a process of its own takes to begin, and to check
 UPRIGHT = np.array([0, 0, 9.81, 0, 0, 0])
 
 
@@ -76,35 +79,55 @@ def guided(folder, seed, use, *, obeys):
     return hand, state, look_ahead(session.coach.samples, USES[use])
 
 
-def study_hand(first, last):
+def captured(seed, use, *, random):
+    """Return the figures of one capture that is guided, and of one in attitudes at random where that is asked for."""
+    with tempfile.TemporaryDirectory() as place:
+        alone = guided(Path(place) / "u", seed, use, obeys=False)[1] if random else None
+        hand, state, ahead = guided(Path(place) / "g", seed, use, obeys=True)
+        calibration = gnomon.calibrate_imu(gnomon.read(Path(place) / "g")).calibration
+    reached = {need.block: need.sigma for need in needs_of_use(calibration, USES[use])}
+    pairs = zip(calibration_parameters(calibration.imus), calibration_parameters({"imu0": hand.truth}), strict=True)
+    errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
+    sigma = np.sqrt(np.diag(calibration.uncertainty.matrix))
+    return {
+        "use": use,
+        "seed": seed,
+        "rests": len(state.prospect.up),
+        "alone": None if alone is None else len(alone.prospect.up),
+        "seconds": state.seconds,
+        "confirmed": state.confirmed,
+        "verdict": gnomon.judge(calibration, use).verdict,
+        "worst": float(np.max(np.abs(errors[sigma > 0]) / sigma[sigma > 0])),
+        "shown": {need.block: need.sigma / reached[need.block] for need in state.prospect.needs},
+        "foreseen": {need.block: need.sigma / reached[need.block] for need in ahead.needs},
+    }
+
+
+def study_hand(first, last, kept, *, random):
+    """Add the captures of some seeds to those that a file keeps already, and tell all that are there."""
+    kept.touch()
+    rows = [json.loads(line) for line in kept.read_text().splitlines()]
+    there = {(row["seed"], row["use"]) for row in rows}
+    with kept.open("a") as file:
+        every = product(range(first, last), ("ahrs", "vio"))
+        for seed, use in sorted(every, key=lambda one: ((one[0] + (one[1] == "vio")) % 2, one)):  # each seed once first
+            if (seed, use) not in there:
+                rows.append(captured(seed, use, random=random))
+                file.write(json.dumps(rows[-1]) + "\n")
+                file.flush()
     for use in ("ahrs", "vio"):
-        rests, alone, seconds, ratios, shown, worst, verdicts, unmet = [], [], [], [], [], [], Counter(), 0
-        for seed in range(first, last):
-            with tempfile.TemporaryDirectory() as place:
-                _, unguided, _ = guided(Path(place) / "u", seed, use, obeys=False)
-                hand, state, ahead = guided(Path(place) / "g", seed, use, obeys=True)
-                calibration = gnomon.calibrate_imu(gnomon.read(Path(place) / "g")).calibration
-            unmet += not state.confirmed
-            rests.append(len(state.prospect.up))
-            alone.append(len(unguided.prospect.up))
-            seconds.append(state.seconds)
-            reached = {need.block: need.sigma for need in needs_of_use(calibration, USES[use])}
-            ratios += [need.sigma / reached[need.block] for need in ahead.needs]
-            shown += [need.sigma / reached[need.block] for need in state.prospect.needs]
-            verdicts[gnomon.judge(calibration, use).verdict] += 1
-            pairs = zip(
-                calibration_parameters(calibration.imus), calibration_parameters({"imu0": hand.truth}), strict=True
-            )
-            errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
-            sigma = np.sqrt(np.diag(calibration.uncertainty.matrix))
-            worst.append(float(np.max(np.abs(errors[sigma > 0]) / sigma[sigma > 0])))
-            if len(rests) % 10 == 0:
-                print(f"  {use} {len(rests)}: {np.median(rests):.0f} rests", file=sys.stderr, flush=True)
+        own = [row for row in rows if row["use"] == use]
+        rests, worst = [row["rests"] for row in own], [row["worst"] for row in own]
+        alone = [row["alone"] for row in own if row["alone"] is not None]
+        ratios = [ratio for row in own for ratio in row["foreseen"].values()]
+        shown = [ratio for row in own for ratio in row["shown"].values()]
         least, low, high, most = np.quantile(ratios, [0.0, 0.05, 0.95, 1.0])
         print(
-            f"{use}: {len(rests)} seeds; rests guided {np.median(rests):.0f} ({min(rests)} to {max(rests)}), at random "
-            f"{np.median(alone):.0f} ({min(alone)} to {max(alone)}), tutorial {TUTORIAL}; {np.median(seconds):.0f} s; "
-            f"verdicts {dict(verdicts)}, never confirmed {unmet}; largest error of 30 parameters "
+            f"{use}: {len(own)} seeds; rests guided {np.median(rests):.0f} ({min(rests)} to {max(rests)}), "
+            + (f"at random {np.median(alone):.0f} ({min(alone)} to {max(alone)}), " if alone else "")
+            + f"tutorial {TUTORIAL}; {np.median([row['seconds'] for row in own]):.0f} s; "
+            f"verdicts {dict(Counter(row['verdict'] for row in own))}, "
+            f"never confirmed {sum(not row['confirmed'] for row in own)}; largest error of 30 parameters "
             f"{np.median(worst):.2f} sigma (median), {max(worst):.2f} (most), beyond 4: {sum(w > 4 for w in worst)}; "
             f"shown at the end over final sigma {min(shown):.2f} to {max(shown):.2f}, "
             f"foreseen without a trial {low:.2f} to {high:.2f} (90 %), {least:.2f} to {most:.2f} (all)",
@@ -308,21 +331,48 @@ def beginning(recording, seconds):
     return replace(recording, cameras=cameras, imus={"imu0": replace(imu, **firsts)})
 
 
-def study_setup(first, seeds=10, healthy=20):
-    """Look at the beginnings of captures of 31 s, as the early checks do."""
-    moments = (6, 10, 14, 18, 24, 31)
+def checked(recording, target, until_s):
+    """Yield when the outcome of each early check is there [s], and what it says, as in a guided capture."""
+    motion, shown = MotionCoach(USES["vio"]), 0
+    coach, sent = (
+        RigCoach(target, recording.cameras["cam0"].camera, motion),
+        dict.fromkeys(("accelerometer", "gyroscope"), 0),
+    )
+    ready_s = 0.0
+    for seconds in np.arange(LOOK_S, until_s, LOOK_S):
+        so_far = beginning(recording, seconds)
+        views = views_of(so_far.cameras["cam0"], shown)
+        shown += len(views)
+        new = {}
+        for name, first in sent.items():
+            all_of = getattr(so_far.imus["imu0"], name)
+            new[name] = replace(all_of, t_ns=all_of.t_ns[first:], values=all_of.values[first:])
+            sent[name] = len(all_of)
+        motion.add_samples(new, {name: one.unit for name, one in new.items()})
+        motion.look_at_samples()
+        for t_ns, view in views[:-1]:
+            coach.keep_view(t_ns, view, STATISTICS.size)
+        coach.look_at_image(views[-1][0], GREY, views[-1][1], STATISTICS, seconds=seconds, rate_hz=20.0)
+        if seconds >= ready_s and coach.wants_trial:
+            ready_s = seconds + TRIAL_S
+            yield ready_s, check_setup(replace(coach.recording_so_far(), imus=so_far.imus), target)
+
+
+def study_setup(first, seeds=10, healthy=20, until_s=12.0):
+    """Look at the beginnings of captures, of which half have 30 and half 15 frames a second."""
+    moments = (3, 4, 6, 8, int(until_s))
     for name, planted in SETUPS.items():
         found, codes = [], Counter()
         for seed in range(first, first + (healthy if name == "healthy" else seeds)):
-            scenario = CameraImuScenario(duration_s=31.0, camera_rate_hz=20.0 if seed % 2 else 10.0)
+            scenario = CameraImuScenario(duration_s=until_s + 1, camera_rate_hz=30.0 if seed % 2 else 15.0)
             simulation = simulate_camera_imu(scenario, seed)
             imu = planted(simulation.recording.imus["imu0"])
             recording = replace(simulation.recording, imus={"imu0": imu})
-            told = [check_setup(beginning(recording, at), simulation.target) for at in moments]
-            found.append(next((at for at, faults in zip(moments, told, strict=True) if faults), np.inf))
-            codes.update({fault.code for faults in told for fault in faults})
+            told = list(checked(recording, simulation.target, until_s))
+            found.append(next((at for at, faults in told if faults), np.inf))
+            codes.update({fault.code for _, faults in told for fault in faults})
         shares = ", ".join(f"{sum(at <= moment for at in found)} by {moment} s" for moment in moments)
-        print(f"{name}: of {len(found)} named {shares}; {dict(codes)}", flush=True)
+        print(f"{name}: of {len(found)} named {shares}, the last after {max(found)} s; {dict(codes)}", flush=True)
 
 
 def study_kill(first=0, times=50):
@@ -490,9 +540,11 @@ def main():
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "live-hand.jsonl", metavar="FILE")
+    parser.add_argument("--random", action="store_true", help="attitudes at random, too")
     given = parser.parse_args()
     if given.what == "hand":
-        study_hand(*given.seeds)
+        study_hand(*given.seeds, given.keep, random=given.random)
     elif given.what == "serial":
         study_serial(given.seconds)
     elif given.what == "faults":

@@ -125,17 +125,24 @@ class RigHand:
         return path
 
 
-def part(simulation, first_ns, stop_ns):
-    """Return the views and the samples of a span of time, by the camera's clock."""
-    frames, imu = simulation.recording.cameras["cam0"], simulation.recording.imus["imu0"]
+def views_of(frames, first=0, stop=None):
+    """Return stamps and views of some frames."""
     views = []
-    for k in np.flatnonzero((frames.t_ns >= first_ns) & (frames.t_ns < stop_ns)):
+    for k in range(first, len(frames.t_ns) if stop is None else stop):
         own = frames.frame == k
         sigma = np.full(int(own.sum()), 0.3)
         view = BoardView(
             point=frames.point[own], pixels=frames.pixels[own], sigma_px=sigma, blur_px=0.7, black=20.0, white=200.0
         )
         views.append((int(frames.t_ns[k]), view))
+    return views
+
+
+def part(simulation, first_ns, stop_ns):
+    """Return the views and the samples of a span of time, by the camera's clock."""
+    frames, imu = simulation.recording.cameras["cam0"], simulation.recording.imus["imu0"]
+    frames_in = np.searchsorted(frames.t_ns, [first_ns, stop_ns])
+    views = views_of(frames, *frames_in)
     triads = {name: getattr(imu, name) for name in ("accelerometer", "gyroscope")}
     new = {name: (one.t_ns >= first_ns) & (one.t_ns < stop_ns) for name, one in triads.items()}
     return views, {

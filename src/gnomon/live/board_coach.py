@@ -183,10 +183,16 @@ class BoardCoach:
         count = len(self._views)
         return not self._confirmed and self.state.phase == "trying" and count >= _MORE * self._tried
 
-    def recording_so_far(self) -> Recording:
-        """Return the views so far, for a calibration."""
+    @property
+    def in_sight(self) -> bool:
+        """Whether the board was found in the image that was looked at last."""
+        return self._lost == 0
+
+    def recording_so_far(self, more: Sequence[tuple[int, BoardView]] = ()) -> Recording:
+        """Return the views so far, and others, for a calibration."""
         self._tried = len(self._views)
-        return Recording(imus={}, cameras={self.camera: frames_of(self._views, Camera.nominal(self.state.resolution))})
+        views = sorted(dict([*self._views, *more]).items())
+        return Recording(imus={}, cameras={self.camera: frames_of(views, Camera.nominal(self.state.resolution))})
 
     def take_outcome(self, outcome: TrialOutcome) -> None:
         """Take what a calibration of the views said."""

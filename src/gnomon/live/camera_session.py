@@ -16,15 +16,17 @@ from ..detect.boards.board_guess import guess_board
 from ..detect.boards.worker import BoardFinder, BoardProcess, ProcessLostError
 from ..errors import GnomonError
 from ..models.target import Target
+from ..recording import CameraFrames, Recording
 from ..recording.frames import Grey
 from .board_coach import BoardCoach, BoardState
 from .faults import Fault
 from .image_sources import ImageArrival, ImageSource
 from .recorder import ImageRecorder, Recorder
-from .trials import Trial
+from .trials import Trial, TrialOutcome
 
 _SILENT_S = 3.0
 _GAP, _FEWEST = 2.5, 10  # periods between frames, of which one is missing
+_TOGETHER, _MORE = 10, 1.3  # views of several cameras at once; times as many before they are tried again
 _WIDEST = 640
 _QUALITY = 70
 
@@ -42,6 +44,8 @@ class CameraSession:
     page = "camera"
     looks = 1
     """How many images of a camera are looked at, at most, each time."""
+    joined = True
+    """Whether several cameras are told to see the board at once, and where they are to each other is tried."""
 
     def __init__(self, source: ImageSource, folder: Path, target: Target) -> None:
         Recorder(folder).close_files()  # the folder is there now, and empty
@@ -58,6 +62,8 @@ class CameraSession:
         self._looked: dict[str, ImageArrival] = {}
         self._trial: Trial | None = None
         self._tried = "cam0"
+        self._together: list[dict[str, tuple[int, BoardView]]] = []
+        self._joint, self._joint_tried = TrialOutcome(), 0
         self._finder: BoardProcess | BoardFinder
         try:
             self._finder = BoardProcess(target)
@@ -124,21 +130,52 @@ class CameraSession:
         """Look at the newest image of each camera, and return what there is to say of the first that needs more."""
         self.images.sync_files()
         self._follow_trial()
+        known, seen = sum(coach.state.views for coach in self.coaches.values()), dict[str, tuple[int, BoardView]]()
         for name, waiting in list(self._pending.items()):
             if name not in self.coaches and (coach := self._coach(name)) is not None:
                 self.coaches[name] = coach
             if waiting and name in self.coaches:
-                self._look(self.coaches[name], [waiting.popleft() for _ in range(len(waiting))])
+                arrivals = [waiting.popleft() for _ in range(len(waiting))]
+                view = self._look(self.coaches[name], arrivals)
+                if self.coaches[name].in_sight:
+                    seen[name] = arrivals[-1].t_ns, view
+        if self.joined and sum(coach.state.views for coach in self.coaches.values()) > known:
+            self._keep_together(seen)
         unserved = {name: one.state.phase for name, one in self.coaches.items() if not one.state.confirmed}
         self._guided = next((n for n, phase in unserved.items() if phase != "trying"), next(iter(unserved), "cam0"))
         self._state = self.coach.state
         if len(self.coaches) > 1:
             said = f"{self._guided}: {self._state.advice}"
             self._state = replace(self._state, advice=said, confirmed=not unserved)
+            if self.joined and not unserved:
+                self._state = self._said_together(self._state)
         return self._state
 
-    def _look(self, coach: BoardCoach, arrivals: list[ImageArrival]) -> None:
-        """Look at what arrived of a camera."""
+    def _keep_together(self, seen: dict[str, tuple[int, BoardView]]) -> None:
+        """Keep the views of cameras that see the board at once."""
+        stamps = [t_ns for t_ns, _ in seen.values()]
+        if len(stamps) > 1 and len(self._stamps) > 1 and 2 * (max(stamps) - min(stamps)) < self._period_ns:
+            self._together.append(seen)
+
+    def _said_together(self, state: BoardState) -> BoardState:
+        """Return what there is to say of cameras that are known one by one: where they are to each other."""
+        bars = (*state.bars, ("seen together", len(self._together) / _TOGETHER))
+        if self._joint.verdict == "pass":
+            said = "Enough: lenses and places of the cameras are known well. Stop, or go on for more."
+            return replace(state, advice=said, bars=bars)
+        more, said = _TOGETHER - len(self._together), self._joint.advice
+        if more > 0:
+            said = f"Show the board to all cameras at once, in other places, tilted to all sides; {more} more views."
+        return replace(
+            state,
+            advice=said or "Go on: the cameras are calibrated together meanwhile.",
+            phase="together",
+            bars=bars,
+            confirmed=False,
+        )
+
+    def _look(self, coach: BoardCoach, arrivals: list[ImageArrival]) -> BoardView:
+        """Look at what arrived of a camera, and return what the newest image shows."""
         views = self._views_of([arrival.image for arrival in arrivals])
         for earlier, view in zip(arrivals[:-1], views[:-1], strict=True):
             coach.keep_view(earlier.t_ns, view, earlier.image.shape[::-1])
@@ -153,6 +190,7 @@ class CameraSession:
         )
         if unseen := coach.wants_guess:
             coach.take_guess(guess_board(unseen, self._target))
+        return views[-1]
 
     def _views_of(self, images: list[Grey]) -> list[BoardView]:
         with suppress(ProcessLostError):
@@ -163,15 +201,25 @@ class CameraSession:
     def _follow_trial(self) -> None:
         """Begin a calibration where the views may be enough, and take what came of it."""
         if self._trial is not None and self._trial.ended:
-            if self._trial.outcome is not None:
+            if self._trial.outcome is not None and self._tried:
                 self.coaches[self._tried].take_outcome(self._trial.outcome)
+            elif self._trial.outcome is not None:
+                self._joint = self._trial.outcome
             self._trial = None
         wanting = next((name for name, coach in self.coaches.items() if coach.wants_trial), None)
+        together = len(self._together) >= max(_TOGETHER, _MORE * self._joint_tried)
+        if wanting is None and self._state.phase == "together" and together:
+            wanting, self._joint_tried = "", len(self._together)
         if self._trial is None and wanting is not None:
-            self._trial, self._tried = self._begin_trial(self.coaches[wanting]), wanting
+            coaches = [self.coaches[wanting]] if wanting else list(self.coaches.values())
+            self._trial, self._tried = self._begin_trial(coaches), wanting
 
-    def _begin_trial(self, coach: BoardCoach) -> Trial:
-        return Trial(coach.recording_so_far(), self._target)
+    def _begin_trial(self, coaches: list[BoardCoach]) -> Trial:
+        cameras = dict[str, CameraFrames]()
+        for coach in coaches:
+            shared = [seen[coach.camera] for seen in self._together if coach.camera in seen and len(coaches) > 1]
+            cameras |= coach.recording_so_far(shared).cameras
+        return Trial(Recording(imus={}, cameras=cameras), self._target)
 
     @property
     def _period_ns(self) -> float:

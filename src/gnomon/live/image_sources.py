@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..errors import OptionError, RecordingError
 from ..formats.own.options_file import read_options
@@ -196,29 +196,41 @@ class CameraSource(ImageSource):
 
     Parameters
     ----------
-    where : its number, 0, 1, ..., or an address that FFmpeg knows, such as rtsp://192.168.1.20/stream
+    where : its number, 0, 1, ..., or an address that FFmpeg knows, such as rtsp://192.168.1.20/stream; of several
+        cameras their numbers, 0,1
     """
 
     def __init__(self, where: str) -> None:
         super().__init__()
         if Path(where).is_file():
             raise OptionError(f"camera:{where}: this is a file. Replay it with replay:{where}.")
-        self.where = where
+        several = where.split(",")
+        self.where = several if all(part.isdigit() for part in several) else [where]
 
     def arriving_images(self, stop: Event) -> Iterator[ImageArrival]:
-        """Yield images in grey, with the computer's time at which they arrived: monotonic, in ns since 1970."""
+        """Yield images in grey, with the computer's time at which they arrived: monotonic, in ns since 1970.
+
+        Several cameras are asked for their images at once; they are fetched and decoded after that.
+        """
         import cv2
 
-        place: Any = int(self.where) if self.where.isdigit() else self.where
         since_1970_ns = time.time_ns() - time.monotonic_ns()
         while not stop.is_set():
-            camera = cv2.VideoCapture(place)
-            while not stop.is_set() and camera.grab():
-                t_ns = since_1970_ns + time.monotonic_ns()
-                there, image = camera.retrieve()
-                if there:
-                    self.trouble = ""
-                    yield ImageArrival(t_ns, image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))  # pyright: ignore[reportArgumentType]
-            camera.release()
-            self.trouble = f"camera:{self.where} gives no images: plug it in, and close other programs that use it."
+            cameras = [cv2.VideoCapture(int(place) if place.isdigit() else place) for place in self.where]  # pyright: ignore[reportArgumentType, reportCallIssue]
+            without = 0
+            while not stop.is_set():
+                stamps = [since_1970_ns + time.monotonic_ns() if camera.grab() else 0 for camera in cameras]
+                if 0 in stamps:
+                    without = stamps.index(0)
+                    break
+                for k, (t_ns, camera) in enumerate(zip(stamps, cameras, strict=True)):
+                    there, image = camera.retrieve()
+                    if there:
+                        self.trouble = ""
+                        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+                        yield ImageArrival(t_ns, grey, f"cam{k}")  # pyright: ignore[reportArgumentType]
+            for camera in cameras:
+                camera.release()
+            lost = self.where[without]
+            self.trouble = f"camera:{lost} gives no images: plug it in, and close other programs that use it."
             stop.wait(_AGAIN_S)

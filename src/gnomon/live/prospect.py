@@ -31,7 +31,7 @@ DIRECTIONS = np.array([row for row in product((-1.0, 0.0, 1.0), repeat=3) if any
 _UNIT = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 _FACES = _UNIT[np.count_nonzero(DIRECTIONS, axis=1) == 1]
 _APART = np.cos(np.radians(35.0))
-_FEWEST, _ATTITUDES, _FAR = 7, 12, 1e3
+_FEWEST, _ATTITUDES = 7, 12
 _PREDICTED = Provenance(gnomon_version=__version__, method="live")
 
 
@@ -76,19 +76,17 @@ def look_ahead(imu: ImuSamples, use: Use, factors: Mapping[str, float] | None = 
     before = Prospect(up=up, target=_unlike(up), unused=unused, last_s=last_s)
     if len(up) < _FEWEST or np.linalg.matrix_rank(up, tol=0.5) < 3:
         return before
+    alike = np.max(_UNIT @ up.T, axis=1) > _APART
+    new = distinct_attitudes(means, samples)[0] < _ATTITUDES and not alike.all()  # after that the new one of equals
+    sides, alike = (_UNIT[~alike], alike[~alike]) if new else (_UNIT, alike)
     try:
         problem = _problem_of(replace(imu, accelerometer=samples), found.motion.saturated, rests.intervals)
         fit = _nominal(problem, imu, means)
         needs = _needed(_predicted(fit, problem, imu), use, factors or {})
-        after = [_worst(_predicted(more, problem, imu), use, factors or {}) for more in with_one_more_rest(fit, _UNIT)]
+        after = [_worst(_predicted(more, problem, imu), use, factors or {}) for more in with_one_more_rest(fit, sides)]
     except (GnomonError, np.linalg.LinAlgError):  # attitudes too much alike
         return before
-    alike = np.max(_UNIT @ up.T, axis=1) > _APART
-    wanted = (
-        distinct_attitudes(means, samples)[0] < _ATTITUDES
-    )  # until then a new one, after that the new one of equals
-    best = int(np.argmin(np.array(after) * (1 + (_FAR if wanted else 0.02) * alike)))
-    return replace(before, needs=needs, target=_UNIT[best])
+    return replace(before, needs=needs, target=sides[int(np.argmin(np.array(after) * (1 + 0.02 * alike)))])
 
 
 def _unlike(up: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """A guided capture of a camera with an IMU: both are recorded, and both are looked at together."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,10 @@ from .sources import LiveSource
 from .trials import Trial, TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
-_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 4.0, 3.0, 20
+_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 1.0, 1.0, 20
 _CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
+_AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
 _UNTILTED_S = 45.0  # from when on a calibration is tried of a rig that is not turned by 90 degrees
 _TILTED_RAD, _UNLIKE_RAD = np.radians(70.0), 0.1
 _MEAN_NS = 10**9  # over which a motion to and fro leaves gravity
@@ -95,7 +96,7 @@ class RigCoach(BoardCoach):
     def __init__(self, target: Target, lens: Camera, motion: MotionCoach, camera: str = "cam0") -> None:
         super().__init__(target, camera)
         self._lens, self._motion = lens, motion
-        self._tried_s = self._checked_s = 0.0
+        self._tried_s = self._checked_s = self._asked_s = 0.0
         self._setup: tuple[Fault, ...] = ()
         self._foreseen: tuple[tuple[str, float], ...] = ()
 
@@ -107,17 +108,18 @@ class RigCoach(BoardCoach):
         first = int(np.searchsorted([t for t, _ in self._views[:64]], t_ns - _LONGEST_S * 1e9))
         del self._views[:first]
 
-    def recording_so_far(self) -> Recording:
+    def recording_so_far(self, more: Sequence[tuple[int, BoardView]] = ()) -> Recording:
         """Return the corners of the last two minutes."""
         self._checked_s = self.state.seconds
         if self.wants_calibration:
             self._tried_s = self.state.seconds
-        return Recording(imus={}, cameras={self.camera: frames_of(self._views, self._lens)})
+        return Recording(imus={}, cameras={self.camera: frames_of([*self._views, *more], self._lens)})
 
     @property
     def wants_calibration(self) -> bool:
         """Whether the motion so far may be enough."""
-        tried = self.state.phase == "trying" or (self.state.phase == "roll" and self._seconds >= _UNTILTED_S)
+        done = self.state.phase == "trying" and self._seconds - self._asked_s >= _AFTER_S
+        tried = done or (self.state.phase == "roll" and self._seconds >= _UNTILTED_S)
         return not self._confirmed and tried and self.state.seconds - self._tried_s >= _AGAIN_S
 
     @property
@@ -153,8 +155,10 @@ class RigCoach(BoardCoach):
         for what, (phase, say) in _MOTIONS.items():
             missing = [name[-1] for name, share in needs.items() if name.startswith(what) and share < 1]
             if missing:
+                self._asked_s = self._seconds
                 return {"phase": f"{phase} {missing[0]}", "advice": say.format(axis=missing[0])}
         if needs["quarter turn"] < 1:
+            self._asked_s = self._seconds
             return {"phase": "roll", "advice": _ROLL}
         if needs["length"] < 1:
             left = _SHORTEST_S - self._seconds
@@ -185,7 +189,7 @@ class RigSession(CameraSession):
     units : of the samples, as far as they are stated
     """
 
-    looks = 15
+    looks, joined = 15, False
 
     def __init__(
         self,
@@ -241,7 +245,8 @@ class RigSession(CameraSession):
         """Return why nothing can be said, and what is wrong with the sources, most important first."""
         return [*super().troubles(), *self.samples.troubles(), *self.samples.coach.state.faults]
 
-    def _begin_trial(self, coach: BoardCoach) -> Trial:
+    def _begin_trial(self, coaches: list[BoardCoach]) -> Trial:
+        (coach,) = coaches
         assert isinstance(coach, RigCoach)
         calibrates = coach.wants_calibration
         return Trial(coach.recording_so_far(), coach.target, self._use, self.folder, self._units, calibrates=calibrates)

@@ -20,8 +20,9 @@ from ..units import Units
 from .faults import Fault
 
 _NICE = 10
-_TOO_LITTLE = frozenset({"stream-short", "frames-few", "motion-slow"})
-"""Findings of `gnomon check` that a longer recording mends; so does a warning that clocks drift."""
+_PASSED_OVER = frozenset({"stream-short", "frames-few", "motion-slow", "frame-gaps", "frame-rate", "frame-jitter"})
+"""Findings of `gnomon check` that a longer recording mends, as a warning that clocks drift; or of images that were not
+looked at: those that did not arrive are told elsewhere."""
 
 
 @value_class(eq=True)
@@ -126,7 +127,7 @@ def check_setup(recording: Recording, target: Target) -> tuple[Fault, ...]:
     return tuple(
         Fault(code=finding.code, text=f"{finding.message} {finding.cure}")
         for finding in check_corners(recording, target)
-        if finding.severity in {"problem", "warning"} and finding.code not in _TOO_LITTLE
+        if finding.severity in {"problem", "warning"} and finding.code not in _PASSED_OVER
         if (finding.severity, finding.code) != ("warning", "clock-drift")
     )
 

@@ -154,11 +154,24 @@ class Prepared:
         return [next(self.views_left) for _ in images]
 
 
-def test_each_camera_is_guided_until_all_are_known(tmp_path, shown):
+class Told:
+    """A trial that has ended as it was told to."""
+
+    begun, outcome, ended = [], TrialOutcome(verdict="fail", advice="Not yet."), True
+
+    def __init__(self, recording, target):
+        self.begun.append(recording)
+
+    def close(self):
+        pass
+
+
+def test_each_camera_is_guided_until_all_are_known(tmp_path, shown, monkeypatch):
+    monkeypatch.setattr("gnomon.live.camera_session.Trial", Told)
     session, views = CameraSession(Silent(), tmp_path / "rec", shown.target), list(views_of(shown))
     session._finder.close()
     session._finder = Prepared(view for view in views for _ in range(2))
-    for k in range(10):
+    for k in range(6):
         for name in ("cam0", "cam1"):
             session.take_image(ImageArrival(10**18 + 10**8 * k, GREY, name))
         state = session.look_at_arrivals()
@@ -175,7 +188,19 @@ def test_each_camera_is_guided_until_all_are_known(tmp_path, shown):
     session.coaches["cam1"].take_outcome(TrialOutcome(verdict="pass"))
     for name in ("cam0", "cam1"):
         session.take_image(ImageArrival(10**18 + 2 * 10**9, GREY, name))
-    assert session.look_at_arrivals().confirmed
+    state = session.look_at_arrivals()
+    assert (state.phase, state.confirmed) == ("together", False)
+    assert "to all cameras at once" in state.advice
+    for k in range(20, 100):
+        for name in ("cam0", "cam1"):
+            session.take_image(ImageArrival(10**18 + 10**8 * k, GREY, name))
+        state = session.look_at_arrivals()
+        if "Not yet." in state.advice:
+            Told.outcome = TrialOutcome(verdict="pass")
+    first, second = (Told.begun[-1].cameras[name] for name in ("cam0", "cam1"))
+    assert len(np.intersect1d(first.t_ns, second.t_ns)) >= 10
+    assert len(Told.begun) == 2, "again with more views alone"
+    assert state.confirmed
     session.end_recording()
 
 
@@ -232,6 +257,15 @@ def test_a_camera_is_opened_again_after_it_was_unplugged(monkeypatch):
     assert opened[:2] == [1, 1]
     assert (found[0].image == GREY).all()
     assert (np.diff([arrival.t_ns for arrival in found]) > 0).all()
+
+
+def test_several_cameras_are_one_source(monkeypatch):
+    import cv2
+
+    monkeypatch.setattr(cv2, "VideoCapture", Plugged)
+    monkeypatch.setattr("gnomon.live.image_sources._AGAIN_S", 0.0)
+    found = [arrival for _, arrival in zip(range(4), CameraSource("0,2").arriving_images(Event()), strict=False)]
+    assert [arrival.camera for arrival in found] == ["cam0", "cam1", "cam0", "cam1"]
 
 
 @pytest.mark.parametrize("text", ["usb:1", "camera:", "replay:", "replay:x@y", "camera:tests/unit/live/test_camera.py"])

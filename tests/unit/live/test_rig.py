@@ -148,6 +148,37 @@ def test_axes_that_were_exchanged_are_named_by_an_early_check(waved):
     assert check_setup(waved.recording, waved.target) == ()
 
 
+def beginning(recording, seconds):
+    """Return what was recorded until then, by the camera's clock."""
+    frames, imu = recording.cameras["cam0"], recording.imus["imu0"]
+    count = int(np.searchsorted(frames.t_ns, frames.t_ns[0] + int(seconds * 1e9)))
+    rows = {name: getattr(frames, name)[frames.frame < count] for name in ("frame", "point", "pixels")}
+    samples = {
+        name: replace(one, t_ns=one.t_ns[: int(200 * seconds)], values=one.values[: int(200 * seconds)])
+        for name, one in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+    }
+    cameras = {"cam0": replace(frames, t_ns=frames.t_ns[:count], **rows)}
+    return replace(recording, cameras=cameras, imus={"imu0": replace(imu, **samples)})
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], "x measures about +y"),
+        (np.diag([1, 1, -1]), "sign"),
+        (-np.eye(3), "mirror"),
+        (np.eye(3), ""),
+    ],
+)
+def test_axes_of_the_accelerometer_are_told_within_three_seconds(waved, matrix, words):
+    imu = waved.recording.imus["imu0"]
+    accelerometer = replace(imu.accelerometer, values=imu.accelerometer.values @ np.array(matrix, float))
+    recording = replace(waved.recording, imus={"imu0": replace(imu, accelerometer=accelerometer)})
+    told = [fault.text for fault in check_setup(beginning(recording, 3.0), waved.target)]
+    assert len(told) == bool(words), told
+    assert all(words in text for text in told)
+
+
 def test_an_early_check_needs_motion_and_the_board_and_its_faults_are_shown(waved):
     motion = MotionCoach(GENERAL_RIG)
     coach = RigCoach(waved.target, waved.recording.cameras["cam0"].camera, motion)

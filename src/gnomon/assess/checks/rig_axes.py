@@ -10,6 +10,7 @@ window; the accelerometer is averaged with the same one. The products of A_a wit
 are unknowns of their own, so that all of it stays linear.
 """
 
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -28,11 +29,15 @@ from .board_turn import BoardTurns, board_turns
 
 _STEP_S = 0.1
 _TURN_S = 0.1
-_FEWEST, _FEWEST_TURNS = 60, 25
+_FEWEST, _FEWEST_TURNS, _FEWEST_FORCES = 60, 25, 20
 _ROUNDS, _ROBUST = 3, 3.5
 _SEARCH_S, _TRIALS = 0.04, 17
 _WINDOW = 21
 _WHOLLY, _HELD, _MOSTLY, _FEWEST_SECONDS = 0.97, 0.2, 0.9, 3
+_LEFT, _CLEARLY = 0.1, 3.0  # of the variance, that the right exchange of axes leaves; times as much leaves any other
+_EXCHANGES = np.array(
+    [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)]
+)
 
 
 @value_class
@@ -136,7 +141,36 @@ def felt_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tup
     return None if seen is None else (seen[0], seen[1], _averaged(stream, seen[0], seen[2]))
 
 
-def _seen_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[Floats, Floats, float] | None:
+def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gyroscope: AxesFit) -> Floats | None:
+    """Return the signed exchange that makes the accelerometer's axes the gyroscope's; None where it cannot be told.
+
+    Of all 48 it is the one with which the camera's turns, as the gyroscope reads them, show what the accelerometer
+    reads: only gravity, the IMU's place and a bias are free.
+    """
+    seen = _seen_force(poses, stream, time_shift_s, _FEWEST_FORCES)
+    if seen is None:
+        return None
+    at, design, step_s = seen
+    axes = gyroscope.matrix / np.cbrt(abs(np.linalg.det(gyroscope.matrix)))
+    felt, down = axes @ design[:, :12].reshape(-1, 3, 4), axes @ design[:, 12:21].reshape(-1, 3, 3)
+    free = np.concatenate([felt[:, :, 1:], down, np.broadcast_to(np.eye(3), down.shape)], axis=2)
+    read = _averaged(stream, at, step_s)
+    wanted = np.moveaxis(read @ np.swapaxes(_EXCHANGES, 1, 2) - felt[:, :, 0], 0, 2)
+    used, left = np.ones(len(at), dtype=bool), np.zeros(len(_EXCHANGES))
+    for _ in range(_ROUNDS):
+        rows = free[used].reshape(-1, 9)
+        solution = np.linalg.lstsq(rows, wanted[used].reshape(len(rows), -1), rcond=None)[0]
+        square = ((wanted - free @ solution) ** 2).sum(axis=1)
+        left = square[used].sum(axis=0) / ((read[used] - read[used].mean(axis=0)) ** 2).sum()
+        error = np.sqrt(square[:, np.argmin(left)])
+        used = error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-9
+    best, second = np.partition(left, 1)[:2]
+    return _EXCHANGES[np.argmin(left)] if best < _LEFT and second > _CLEARLY * best else None
+
+
+def _seen_force(
+    poses: BoardPoses, stream: ImuStream, time_shift_s: float, fewest: int = _FEWEST
+) -> tuple[Floats, Floats, float] | None:
     """Return instants [s] (n,), what the camera saw there (n, 22), and over which time [s]; None of too few frames."""
     t_s = poses.t_s + time_shift_s
     R = np.swapaxes(poses.R_cam_target, 1, 2)
@@ -145,7 +179,7 @@ def _seen_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tu
     centre, both = _second_differences(t_s, np.concatenate([p[:, :, None], R], axis=2), step_s)
     inside = (t_s[centre] > stream.t_s[0] + 0.2) & (t_s[centre] < stream.t_s[-1] - 0.2)
     centre, both = centre[inside], both[inside]
-    if len(centre) < _FEWEST:
+    if len(centre) < fewest:
         return None
     R_cam_target = poses.R_cam_target[centre]
     felt = np.einsum("nij,njk->nik", R_cam_target, both).reshape(len(centre), 12)

@@ -34,6 +34,7 @@ from .rig_axes import (
     FrameTimes,
     FrameTurns,
     accelerometer_axes,
+    exchanged_axes,
     frame_times,
     gyroscope_axes,
     rotation_break,
@@ -43,7 +44,6 @@ from .rig_lens import check_lens
 
 _WHOLE, _EXPLAINED, _GYRO_EXPLAINED = 0.95, 0.9, 0.8
 _MIRRORED = 2.0  # times as much as a mirror leaves, what a rotation leaves
-_NEAR = 0.3  # of an entry of the relative axes from -1, 0 or 1
 _DELAY_S, _SIGMAS = 0.5e-3, 5.0
 _CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
 _LATE_SHARE, _FEWEST_LATE, _FEWEST_FRAMES = 0.04, 8, 60
@@ -56,13 +56,13 @@ _SLOW_RAD_S = 0.15
 _WINDOW_S = 1.0
 
 
-def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, ...]:
+def check_recording_rig(recording: Recording, target: Target, *, lens: bool = True) -> tuple[Finding, ...]:
     """Look at all cameras beside the first IMU, and at the first one beside the others; samples are in order of time.
 
     Codes: those of `check_look`, board-moved, clock or clock-drift, and not-aligned.
     """
     (first, samples), *others = recording.imus.items()
-    findings = _beside(first, samples, recording.cameras, target)
+    findings = _beside(first, samples, recording.cameras, target, lens=lens)
     guide = dict(list(recording.cameras.items())[:1])
     for name, samples in others:
         found = _beside(name, samples, guide, target, lens=False)
@@ -176,7 +176,9 @@ def check_look(
     accelerometer = accelerometer_axes(poses, stream, shift)
     if accelerometer is not None and min(accelerometer.explained, accelerometer.used) < _WHOLE:
         findings += check_accelerometer_change(poses, stream, shift, imu)
-    findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
+    told = gyroscope.hand != 0 and gyroscope.explained > _EXPLAINED
+    whole = exchanged_axes(poses, stream, shift, gyroscope) if told else None
+    findings = [*(_axes(name, gyroscope, whole) or _hand(name, gyroscope, alignment)), *findings]
     if gyroscope.explained < _GYRO_EXPLAINED or gyroscope.hand == 0:
         return findings, None
     times = frame_times(poses, stream, shift, gyroscope, unusable)
@@ -217,23 +219,16 @@ def _slow(name: str, alignment: Alignment) -> list[Finding]:
     return [make_finding("motion-slow", name=name, fastest=fastest, axis=axis)]
 
 
-def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[Finding]:
+def _axes(name: str, gyroscope: AxesFit, whole: Floats | None) -> list[Finding]:
     """Compare the axes of both triads by what the camera saw: only a signed exchange of axes is told."""
-    if accelerometer is None or min(gyroscope.explained, accelerometer.explained) < _EXPLAINED:
+    if whole is None or np.array_equal(whole, np.eye(3)):
         return []
-    if gyroscope.hand == 0 or accelerometer.hand == 0:
-        return []
-    relative = gyroscope.matrix @ np.linalg.inv(accelerometer.matrix)
-    relative /= np.cbrt(abs(np.linalg.det(relative)))
-    whole = np.rint(relative)
-    exchanged = np.abs(whole).sum(axis=0).tolist() == [1, 1, 1] == np.abs(whole).sum(axis=1).tolist()
-    if not exchanged or np.abs(relative - whole).max() > _NEAR or np.array_equal(whole, np.eye(3)):
-        return []
+    hand = gyroscope.hand * float(np.linalg.det(whole))
     if np.array_equal(whole, -np.eye(3)):
-        return [_mirrored(name, accelerometer.hand)]
+        return [_mirrored(name, hand)]
     found = axis_findings(whole)[0]
-    wrong = "accelerometer" if accelerometer.hand < 0 < gyroscope.hand else "gyroscope"
-    which = f"Seen from {name} the {wrong} is the left-handed one." if gyroscope.hand * accelerometer.hand < 0 else ""
+    wrong = "accelerometer" if hand < 0 < gyroscope.hand else "gyroscope"
+    which = f"Seen from {name} the {wrong} is the left-handed one." if hand * gyroscope.hand < 0 else ""
     return [make_finding("axes-differ/rig", found=found.message, which=which, cure=found.cure)]
 
 

@@ -142,8 +142,9 @@ def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
     if not recording.imus:
         return (*check_imus({}), *check_views(recording, target))
     findings = [*check_cameras(recording, target), *check_epochs(all_stamps(recording))]
-    if not any(finding.severity == "problem" for finding in findings):
-        findings += check_recording_rig(recording, target)
+    problems = {finding.code for finding in findings if finding.severity == "problem"}
+    if problems <= {"stream-short"}:  # three seconds tell of axes and clocks, and of no lens
+        findings += check_recording_rig(recording, target, lens=not problems)
     return _each_once(findings)
 
 

@@ -101,7 +101,8 @@ def saturated_samples(samples: TriadSamples, full_scale: float | None = None) ->
     marked = np.zeros(len(samples), bool)
     if len(samples) < 4:
         return marked
-    for values in np.ascontiguousarray(samples.values.T):
+    for axis in range(3):
+        values = samples.values[:, axis]
         noise, median = _noise_and_median(values)
         for extreme in (values.max(), values.min()):
             near = float(abs(extreme - median))
