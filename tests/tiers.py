@@ -8,6 +8,7 @@ tell costly from cheap well enough on all; no test fails by the clock.
 
 import json
 import os
+from collections import Counter
 from collections.abc import Generator
 from functools import cache
 from pathlib import Path
@@ -33,8 +34,16 @@ def _known() -> dict[str, dict[str, float]]:
     return json.loads(DURATIONS.read_text(encoding="utf-8")) if DURATIONS.exists() else {"calls": {}, "fixtures": {}}
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out costly tests, or cheap ones, where that is asked for."""
+    """Leave out costly tests, or cheap ones, where that is asked for; and further cases where the first ones do."""
+    cases = Counter[str]()
+    for item in items:
+        if few := item.get_closest_marker("first"):
+            test = item.nodeid.partition("[")[0]
+            cases[test] += 1
+            if cases[test] > few.args[0]:
+                item.add_marker("slow")
     if config.getoption("--quick") or config.getoption("--costly"):
         wanted = config.getoption("--costly")
         others = [item for item in items if _is_costly(item) != wanted]

@@ -52,7 +52,7 @@ def test_a_delay_is_found_and_taken_up(delay_s):
     assert status["imu0.accelerometer_shift"] == "estimated"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_it_stops_where_nothing_moves_it_any_more(monkeypatch):
     """A step of the delay by many sigmas leaves the trajectory behind, which moves the delay once more."""
     value, sigma = delay_of(case(1.5e-3, 0)[1])

@@ -18,6 +18,7 @@ BOARDS = {
 }
 
 
+@pytest.mark.first(2)
 @pytest.mark.long
 @pytest.mark.parametrize("board", BOARDS)
 def test_the_truth_is_where_the_standard_deviations_say(board, run, walks, tmp_path):

@@ -77,6 +77,7 @@ def test_distance_from_the_truth(rendered, name):
     assert {key: found[key] for key, limit in LIMITS[name].items() if not found[key] < limit} == {}
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @RECORDINGS
 def test_the_default_model_holds_a_lens_that_only_a_detectors_bias_contradicts(rendered, name):
@@ -116,6 +117,7 @@ def kalibr(folder, run):
     return Rig.from_files(camera["cam0"], imu["imu0"])
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @RECORDINGS
 def test_with_kalibrs_weights_kalibrs_result_comes_out(rendered, name):
@@ -201,6 +203,7 @@ def test_errors_beside_their_sigmas(rendered, name, model):
     assert np.median(list(z.values())) < 1.6
 
 
+@pytest.mark.first(1)
 @RECORDINGS
 def test_genuine_kalibr_files_inside_the_stated_sigmas(rendered, name):
     """Kalibr states no sigmas; with its weights gnomon states those of its result, and comes to the same numbers."""

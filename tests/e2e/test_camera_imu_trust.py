@@ -51,7 +51,7 @@ def test_white_noise_leaves_the_sigmas_as_they_are():
     assert not any("model-incomplete" in one.codes or "parts-disagree" in one.codes for one in found)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_parts_agree_where_nothing_changed():
     found = some()
     assert all(one.splits.splits == ("halves", "thirds") for one in found)

@@ -39,6 +39,7 @@ def squared(calibration, truth):
     return float(z @ np.linalg.solve(correlation, z)), int(free.sum())
 
 
+@pytest.mark.first(4)
 @pytest.mark.parametrize("model", USUAL_LENSES)
 def test_truth_is_inside_the_covariance(model):
     simulation = simulate_cameras(CamerasScenario.with_lens(model, **FEW), 3)

@@ -38,6 +38,7 @@ def document(out):
     return found
 
 
+@pytest.mark.first(2)
 @pytest.mark.long
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_gives_the_same_calibration_to_the_last_digit(calibrated, layout):

@@ -38,6 +38,7 @@ def calibrated(run, walks, tmp_path_factory):
     return result
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_aprilgrid(calibrated, seed):
@@ -47,7 +48,7 @@ def test_an_aprilgrid(calibrated, seed):
     assert abs(shift - truth.cameras["cam0"].time_shift_cam_imu) < 50e-6
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_uncertainties_are_neither_too_small_nor_too_large(calibrated):
     """Root mean square of all errors in sigmas, over several recordings."""
     errors = [recorded.errors_in_sigmas(*calibrated(seed=seed)[:2]) for seed in SEEDS]

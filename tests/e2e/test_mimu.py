@@ -110,7 +110,7 @@ def test_accelerometer_changes_between_occasions(repeatability):
     assert rms(scatter) / NOMINAL["accelerometer"] < 4e-4
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_rests_alone_say_the_same_of_the_g_sensitivity(real_data, calibrations):
     # The two use the same rests: they differ by how they tell drift from g-sensitivity, and by the rotations.
     folder, options = real_data("mimu4444-icosahedron"), gnomon.ImuOptions(gravity=9.81, model="static")

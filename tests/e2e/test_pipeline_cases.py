@@ -423,6 +423,7 @@ def test_users_frame_stands_as_its_poses_say(repeated, poses):
         np.testing.assert_allclose(user.parameter(path), moved, atol=1e-9 * np.abs(value).max())
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize("frame", ["poses", "accel-z"])
 def test_sigmas_in_a_frame_are_what_repetitions_scatter_by(repeated, poses, frame):

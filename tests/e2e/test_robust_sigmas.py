@@ -77,6 +77,7 @@ def study(seeds, kind):
     return by_block, found
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["white", "drift"])
 def test_sigmas_hold(kind):

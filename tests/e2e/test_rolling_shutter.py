@@ -36,6 +36,7 @@ def test_an_unstated_line_delay_is_found_and_said(motion):
     assert abs(found.cameras["cam0"].time_shift_cam_imu - shift) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_line_delay_that_is_held_at_zero_is_warned_of():
     _, found = calibrated(25e-6, fix=("cam0.line_delay",))
     (finding,) = shutters(found)

@@ -50,6 +50,7 @@ def test_cameras_and_an_imu_read_back_from_every_form(tmp_path, form, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.first(2)
 @pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
 def test_cameras_alone_read_back_from_every_form(tmp_path, form, capsys):

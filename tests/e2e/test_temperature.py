@@ -155,7 +155,7 @@ def test_a_rate_at_another_temperature_is_right_after_apply(oven, run, tmp_path)
             assert off[0] < off[1] / 3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_g_sensitivity_follows_the_temperature_of_three_turned_recordings(run, tmp_path):
     scenario = replace(SCENARIO, turned=True, rate_hz=100.0, g_sensitivity=3e-6)
     made = simulate_temperature(scenario, 21)

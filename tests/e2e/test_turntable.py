@@ -78,6 +78,7 @@ def normalised(scenario, seed):
     return float(z @ np.linalg.solve(correlation, z)) / free.sum(), z
 
 
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["record player", "tilted, drifting, in counts", "two speeds, g-sensitivity"])
 def test_errors_are_what_the_covariance_says_in_a_few(name):

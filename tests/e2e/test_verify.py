@@ -58,6 +58,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.first(6)
 @pytest.mark.parametrize("path", CHANGES)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_number_that_moved_is_named_with_its_size(path, seed):
@@ -243,3 +244,11 @@ def test_a_lens_is_verified_by_cameras_alone():
     wrong = replace(calibration, cameras={"cam0": replace(camera, camera=camera.camera.with_parameters(values))})
     found = gnomon.verify(wrong, second.recording, second.target)
     assert [block.path for block in found.moved] == ["cam0.lens"]
+
+
+def test_a_calibration_without_sigmas_is_verified():
+    """As a simulation's truth is, whose numbers count as exact."""
+    recording, truth = simulate(Scenario(intervals=14, t_init_s=20.0, hold_s=(3.0, 3.5), rate_hz=50.0), seed=1)
+    found = gnomon.verify(truth, recording)
+    assert found.state != "moved"
+    assert "no standard deviations" in found.notes[0]

@@ -60,6 +60,7 @@ def test_what_was_wrong_of_an_imu_stays_mended(seed):
     assert found.outcome != "bad", found
 
 
+@pytest.mark.first(2)
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=pytest.mark.slow if seed in LONG else ()) for seed in RIG])
 def test_what_was_wrong_of_a_rig_stays_mended(seed):

@@ -33,7 +33,12 @@ from ..estimate.camera_imu.layout import Status
 from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
 from ..estimate.camera_imu.result.publish import publish_rig
 from ..estimate.camera_imu.result.recording_trust import recording_trust
-from ..estimate.camera_imu.result.uncertainty import Uncertainty, solution_uncertainty, with_detector_scale
+from ..estimate.camera_imu.result.uncertainty import (
+    Uncertainty,
+    solution_uncertainty,
+    with_detector_scale,
+    with_next_term,
+)
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
@@ -45,6 +50,7 @@ from ..progress import Progress
 from ..recording import Recording
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
+from ..results.sensors import TemperatureDependence
 from .steps.board_order import number_cameras_alike
 from .steps.camera_imu_estimation import RigBeforehand, basic_model, estimate_rig
 from .steps.camera_imu_model import (
@@ -68,7 +74,7 @@ from .steps.camera_imu_preparation import (
     refuse_clock_jumps,
     with_looks,
 )
-from .steps.camera_imu_temperature import biases_over_temperature
+from .steps.camera_imu_temperature import BiasesOverTemperature, biases_over_temperature, without_slopes
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 
@@ -108,15 +114,23 @@ def calibrate_camera_imu(
         return _calibrated(recording, target, options, tell, prior)
 
 
-def _calibrated(
-    recording: Recording, target: Target, options: CameraImuOptions, tell: Progress, prior: Priors
+def _calibrated(  # noqa: PLR0917
+    recording: Recording,
+    target: Target,
+    options: CameraImuOptions,
+    tell: Progress,
+    prior: Priors,
+    told: TemperatureDependence | None = None,
 ) -> Result:
+    """Calibrate; where biases follow the temperature, once more without what they do, which was told before."""
     tell("checking the recording")
-    stated, options = options, with_free_landmarks(options, target)
+    given, stated, options = recording, options, with_free_landmarks(options, target)
     refuse_own_data(prior, recording.sources)
     recording = with_stated_shutters(recording, options)
     recording, copied = without_copies(recording)
     prepared = prepare_camera_imu(recording, target, options)
+    if told is not None:
+        prepared = without_slopes(prepared, recording, told)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
     used = [finding for one in known for finding in prior_used(one)]
@@ -135,6 +149,9 @@ def _calibrated(
     detectors = {name: frames.detector_scale_sigma for name, frames in rig.recording.cameras.items()}
     chosen = select_model(first, estimated, tell, lens=lens, own_detector=not any(detectors.values()))
     solution, certain = _with_uncertainty(chosen, estimated, detectors)
+    slopes = biases_over_temperature(solution, certain, recording, prepared.origin_ns, told)
+    if slopes is not None and set(slopes.blocks) != (set() if told is None else {part for part, _ in told.parts()}):
+        return _calibrated(given, target, stated, tell, prior, slopes.known)
     basic, uncompared = basic_model(chosen.solution.layout.start, solution, estimated, tell)
     tell("assessing the result")
     fit = CameraImuFitSummary(
@@ -150,7 +167,7 @@ def _calibrated(
         gravity=gravity,
         published=publish_rig(certain, solution.state.parameters, gravity_sigma=gravity.sigma),
     )
-    return _assess(fit, chosen, prepared, rolling=rolling, uncompared=uncompared, stated=stated)
+    return _assess(fit, chosen, prepared, rolling=rolling, uncompared=uncompared, stated=stated, slopes=slopes)
 
 
 def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) -> RigBeforehand:
@@ -177,6 +194,8 @@ def _with_uncertainty(
     sums = chosen.sums if options.covariance == "robust" else None
     certain = solution_uncertainty(solution, candidate_blocks(start), sums)
     certain = with_detector_scale(certain, solution.state.parameters, detectors)
+    if sums is not None:
+        certain = with_next_term(certain, solution)
     return _with_origins(solution, certain, estimation_choices(start, options).status)
 
 
@@ -188,6 +207,7 @@ def _assess(
     rolling: bool,
     uncompared: Sequence[Finding],
     stated: CameraImuOptions,
+    slopes: BiasesOverTemperature | None,
 ) -> Result:
     """Return the calibration with its verdict, and the tables that show how it came about."""
     solution, certain, result = fit.solution, fit.uncertainty, fit.published
@@ -237,11 +257,7 @@ def _assess(
         ),
     )
     calibration = with_changes(with_precision(calibration), trust)
-    calibration, told = biases_over_temperature(calibration, solution, certain, fit.recording, prepared.origin_ns)
-    if told:
-        assessed = calibration.assessment
-        calibration = replace(calibration, assessment=replace(assessed, findings=(*assessed.findings, *told)))
-    return Result(calibration=calibration, diagnostics=diagnostics)
+    return Result(calibration=slopes.added_to(calibration) if slopes else calibration, diagnostics=diagnostics)
 
 
 def _with_origins(

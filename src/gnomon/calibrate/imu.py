@@ -5,6 +5,7 @@ prepare -> static intervals -> problem -> fit -> choose the model -> hold out ->
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -33,8 +34,9 @@ from ..estimate.multiposition.scaling import (
     to_physical_units,
     with_runs,
 )
+from ..estimate.multiposition.sudden_changes import sudden_change
 from ..estimate.multiposition.unseen_changes import unseen_changes
-from ..estimate.trust.changes import estimates_are_judged, triad_causes
+from ..estimate.trust.changes import estimates_are_judged
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
@@ -368,10 +370,7 @@ def _trusted(
         biases=_BIASES,
         widened=options.covariance == "robust",
         single=segment_sums(fit, with_runs(fit)),
-        causes={
-            "imu0.accelerometer.sensitivity": triad_causes(estimate.accelerometer_sensitivity, turns=False),
-            "imu0.gyroscope.sensitivity": triad_causes(estimate.gyroscope_sensitivity, turns=True),
-        },
+        sudden=partial(sudden_change, fit, (estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity)),
     )
     return trust, np.sqrt(np.diag(from_unseen))
 

@@ -159,7 +159,7 @@ def _estimated(
     imu = next(iter(frozen.imus.values()))
     if imu.magnetometer is not None and imu.gyroscope is None:
         return calibrate_magnetometer(recording, progress=progress).calibration, None
-    wide = _wide(known) if isinstance(known, Calibration) else None
+    wide = _wide(known) if isinstance(known, Calibration) and known.uncertainty.matrix.any() else None
     return at_reference(calibrate_imu(recording, progress=progress, prior=wide).calibration), wide
 
 

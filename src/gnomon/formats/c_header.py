@@ -1,4 +1,4 @@
-"""C99 (and C++): one header with the numbers and inline functions for each IMU, in single precision.
+"""C99 (and C++): one header with the numbers and inline functions for each IMU, in single or double precision.
 
 A bias of 33124.1825 counts loses two thousandths of a count in a float; it is therefore kept as the sum of two floats,
 whose differences to a sample of similar size are exact.
@@ -24,9 +24,18 @@ _HEAD = """\
  * so that
  *   f = S^-1 (accelerometer - b),   w = S^-1 (gyroscope - b - G f).
 {magnetometer} * Body frame: {frame}.
-{remarks} */
+{remarks} * Define GNOMON_DOUBLE before including this to compute in double.
+ */
 #ifndef GNOMON_IMU_H
 #define GNOMON_IMU_H
+
+#ifdef GNOMON_DOUBLE
+typedef double gnomon_real;
+#define GNOMON_R(x) x
+#else
+typedef float gnomon_real;
+#define GNOMON_R(x) x##f
+#endif
 """
 
 _HEAD_MAGNETOMETER = """\
@@ -40,7 +49,7 @@ _FUNCTION = """\
  * {notes} */
 static inline void gnomon_{imu}_apply{suffix}({arguments})
 {{
-    float d[3];
+    gnomon_real d[3];
 {body}}}
 """
 
@@ -67,21 +76,21 @@ _PRODUCT = """\
 _TEMPERATURE = """\
 /* {imu}: takes off the samples, in place, what the temperature changes: first this, then gnomon_{imu}_apply.
  * degc: of the chip [degC], {low:g} to {high:g}; beyond it is taken for the nearer end. */
-static inline void gnomon_{imu}_at_reference({arguments}, float degc)
+static inline void gnomon_{imu}_at_reference({arguments}, gnomon_real degc)
 {{
-    const float t = degc < {low_literal} ? {low_literal} : degc > {high_literal} ? {high_literal} : degc;
-    const float d = t - {reference};
+    const gnomon_real t = degc < {low_literal} ? {low_literal} : degc > {high_literal} ? {high_literal} : degc;
+    const gnomon_real d = t - {reference};
 {body}}}
 """
 
 _SENSITIVITY = """\
-    {{   /* y - bias = (1 + D) x is solved for x by x = y - bias - D x, to the fourth power of D */
-        float y[3], x[3], more[3];
+    {{   /* y - bias = (1 + D) x is solved for x by x = y - bias - D x, to the eighth power of D */
+        gnomon_real y[3], x[3], more[3];
         for (int i = 0; i < 3; ++i)
             x[i] = y[i] = {triad}[i] - gnomon_{imu}_{triad}_bias[i] - gnomon_{imu}_{triad}_bias_rest[i];
-        for (int k = 0; k < 3; ++k) {{
+        for (int k = 0; k < 7; ++k) {{
             for (int i = 0; i < 3; ++i) {{
-                more[i] = 0.0f;
+                more[i] = GNOMON_R(0.0);
                 for (int j = 0; j < 3; ++j)
                     more[i] += d * {change} * x[j];
             }}
@@ -130,7 +139,7 @@ def export(calibration: Calibration, context: Context) -> Export:
             parts.append(_magnetometer_function(identifier, imu.magnetometer.unit, imu.magnetometer.field_unit))
     text = "\n".join([*parts, "#endif\n"])
     rounding = Loss(
-        what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
+        what="precision", why="the numbers are floats unless GNOMON_DOUBLE is defined.", size="6e-8 relative"
     )
     return Export(files={"gnomon_imu.h": text}, losses=(*not_representable(calibration, HOLDS, context), rounding))
 
@@ -164,20 +173,20 @@ def _function(imu: str, calibration: ImuCalibration) -> str:
     accelerometer, gyroscope = calibration.accelerometer, calibration.gyroscope
     samples, results, meant, units, body = list[str](), list[str](), list[str](), list[str](), ""
     if accelerometer is not None:
-        samples.append("const float accelerometer[3]")
-        results.append("float force[3]")
+        samples.append("const gnomon_real accelerometer[3]")
+        results.append("gnomon_real force[3]")
         meant.append("specific force [m/s^2]")
         units.append(accelerometer.unit)
         body += _OFFSET.format(imu=imu) + _product(imu, "accelerometer", "force")
     note = "Samples and results are x, y, z of one instant."
     if gyroscope is not None:
-        samples.append("const float gyroscope[3]")
-        results.append("float rate[3]")
+        samples.append("const gnomon_real gyroscope[3]")
+        results.append("gnomon_real rate[3]")
         meant.append("angular rate [rad/s]")
         units += [gyroscope.unit] if gyroscope.unit not in units else []
         body += _OFFSET_WITH_FORCE.format(imu=imu) + _product(imu, "gyroscope", "rate")
         if accelerometer is None:
-            samples.append("const float force[3]")
+            samples.append("const gnomon_real force[3]")
             note += " force is the specific force [m/s^2] in the body frame."
     return _FUNCTION.format(
         imu=imu, units=" and ".join(units), results=" and ".join(meant), notes=note, suffix="",
@@ -194,11 +203,11 @@ def _temperature_function(imu: str, found: TemperatureDependence) -> str:
         name = f"gnomon_{imu}_{triad}_{'' if kind == 'bias' else f'{kind}_'}by_temperature"
         if kind == "bias":
             rows = ", ".join(map(_row, coefficients))
-            constants += f"static const float {name}[{len(coefficients)}][3] = {{{rows}}};\n"
+            constants += f"static const gnomon_real {name}[{len(coefficients)}][3] = {{{rows}}};\n"
             body += f"        {triad}[i] -= d * {_polynomial(name, len(coefficients), '[i]')};\n"
             continue
         matrices = ", ".join("{" + ", ".join(map(_row, matrix)) + "}" for matrix in coefficients)
-        constants += f"static const float {name}[{len(coefficients)}][3][3] = {{{matrices}}};\n"
+        constants += f"static const gnomon_real {name}[{len(coefficients)}][3][3] = {{{matrices}}};\n"
         change = _polynomial(name, len(coefficients), "[i][j]")
         after += (_FELT if kind == "g_sensitivity" else _SENSITIVITY).format(imu=imu, triad=triad, change=change)
     needed = ("accelerometer",) if found.gyroscope_g_sensitivity is not None else ()
@@ -207,7 +216,7 @@ def _temperature_function(imu: str, found: TemperatureDependence) -> str:
         imu=imu, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
         high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc),
         body=f"    for (int i = 0; i < 3; ++i) {{\n{body}    }}\n{after}" if body else after,
-        arguments=", ".join(f"float {triad}[3]" for triad in triads),
+        arguments=", ".join(f"gnomon_real {triad}[3]" for triad in triads),
     )  # fmt: skip
 
 
@@ -223,7 +232,7 @@ def _magnetometer_function(imu: str, unit: str, field_unit: str) -> str:
     body = _OFFSET.format(imu=imu).replace("accelerometer", "magnetometer") + _product(imu, "magnetometer", "field")
     return _FUNCTION.format(
         imu=imu, units=unit, results=f"magnetic field [{field_unit}]", suffix="_magnetometer", body=body,
-        notes="Samples and results are x, y, z.", arguments="const float magnetometer[3], float field[3]",
+        notes="Samples and results are x, y, z.", arguments="const gnomon_real magnetometer[3], gnomon_real field[3]",
     )  # fmt: skip
 
 
@@ -232,11 +241,11 @@ def _product(imu: str, triad: str, result: str) -> str:
 
 
 def _vector(name: str, values: Floats) -> str:
-    return f"static const float {name}[3] = {_row(values)};"
+    return f"static const gnomon_real {name}[3] = {_row(values)};"
 
 
 def _matrix(name: str, values: Floats) -> str:
-    return f"static const float {name}[3][3] = {{\n    " + ",\n    ".join(map(_row, values)) + "\n};"
+    return f"static const gnomon_real {name}[3][3] = {{\n    " + ",\n    ".join(map(_row, values)) + "\n};"
 
 
 def _row(values: Floats) -> str:
@@ -245,4 +254,4 @@ def _row(values: Floats) -> str:
 
 def _literal(value: float) -> str:
     text = repr(float(value))
-    return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"
+    return f"GNOMON_R({text if any(c in text for c in '.e') else f'{text}.0'})"

@@ -107,9 +107,9 @@ _ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
 
 def smallest_steps(values: Floats) -> Floats:
     """Return the smallest change from sample to sample of each axis of values (n, k); nan where it never changes."""
-    values = values[:_STEP_SAMPLES]
-    steps = np.abs(np.diff(values, axis=0))
-    least = _ARITHMETIC * np.abs(values).max(axis=0, initial=0.0)  # what a conversion of units may differ by
-    return np.array(
-        [axis[axis > a].min() if (axis > a).any() else np.nan for axis, a in zip(steps.T, least, strict=True)]
-    )
+    columns = np.ascontiguousarray(values[:_STEP_SAMPLES].T)  # along which all is fast
+    steps = np.abs(np.diff(columns))
+    least = _ARITHMETIC * np.abs(columns).max(axis=1, initial=0.0)  # what a conversion of units may differ by
+    steps[~(steps > least[:, None])] = np.inf
+    found = steps.min(axis=1, initial=np.inf)
+    return np.where(found < np.inf, found, np.nan)

@@ -17,7 +17,6 @@ from ..results.calibration import (
     MagnetometerCalibration,
 )
 from ..results.parameters import element_units
-from ..results.sensors import TemperatureDependence
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit, with_sigma
 from .page import Bar, Parameter, ParameterGroup, ReportTable, parameter_line
@@ -63,12 +62,13 @@ def _triad_groups(calibration: Calibration, name: str, imu: ImuCalibration, pref
         path, title, si = f"{name}.magnetometer", f"{prefix}Magnetometer", "µT" if known else LOCAL_FIELD
         yield from _shape(calibration, path, title, imu.magnetometer, si=si, unit_in_si=nominal)
         yield _bias(calibration, path, f"{title} bias", imu.magnetometer, si)
-    if imu.temperature is not None:
-        yield from _over_temperature(calibration, name, imu.temperature)
+    yield from groups_over_temperature(calibration, name)
 
 
-def _over_temperature(calibration: Calibration, name: str, found: TemperatureDependence) -> Iterator[ParameterGroup]:
+def groups_over_temperature(calibration: Calibration, name: str) -> Iterator[ParameterGroup]:
     """Yield the slopes at the reference of what changes with the temperature."""
+    if (found := calibration.imus[name].temperature) is None:
+        return
     known = f"per kelvin at {found.reference_degc:.1f} °C, known from {found.low_degc:.1f} to {found.high_degc:.1f} °C"
     for part, coefficients in found.parts():
         triad, kind = part.split("_", 1)

@@ -7,11 +7,10 @@ import pytest
 
 import gnomon
 from gnomon.assess.changes import change_findings, with_changes
-from gnomon.estimate.trust.changes import parameter_changes, triad_causes
+from gnomon.estimate.trust.changes import parameter_changes
 from gnomon.estimate.trust.clusters import ClusterSums
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.options.requirements import USES
 from gnomon.results.trust import ParameterChange, QuantityChange, Trust
 
@@ -157,26 +156,19 @@ def test_two_changes_are_told_apart():
     assert {one.block for one in found(both)} == {"imu0.accelerometer.sensitivity", "imu0.gyroscope.sensitivity"}
 
 
-def test_a_change_by_a_single_cause_is_found_where_all_scalars_at_once_tell_too_little():
-    path, way = "imu0.gyroscope.sensitivity", np.array([0.5, -0.5, 0.5, 0.5])
-    named = np.zeros((2, 12), dtype=bool)
-    for seed in range(12):
-        sums = pulls(300 + seed, n=22, changed=only(path, 1.15 * way), share=step(11, n=22))
-        for row, causes in enumerate((None, {path: {"way": way[:, None]}})):
-            changes = found(sums, causes=causes)
-            named[row, seed] = [one.block for one in changes] == [path]
-            assert len(changes) <= 1
-    assert named[1].sum() >= named[0].sum() + 3
-    assert not any(found(pulls(seed), causes={path: {"way": way[:, None]}}) for seed in range(20))
+def at_once():
+    return ParameterChange(
+        block="x.sensitivity", names=("x.sensitivity[0]",), values=np.ones(1), covariance=np.eye(1),
+        where="after 3 s, against the time before", chance=1e-9, at_s=3.0,
+    )  # fmt: skip
 
 
-def test_causes_are_what_scales_and_a_turn_of_the_triad_do_to_its_sensitivity():
-    sensitivity = np.array([[0.1, 0.02, 0.9], [1.1, 0.0, 0.03], [0.05, -0.8, 0.01]])
-    gain, turn = triad_causes(sensitivity, turns=True).values()
-    small = np.array([1e-6, -2e-6, 3e-6])
-    scaled, turned = np.diag(1 + small) @ sensitivity, sensitivity @ rotation_from_rotvec(small)
-    np.testing.assert_allclose((gain @ small).reshape(3, 3), scaled - sensitivity, atol=1e-12)
-    np.testing.assert_allclose((turn @ small).reshape(3, 3), turned - sensitivity, atol=1e-11)
+def test_what_is_found_at_once_counts_where_its_block_shows_no_change_otherwise():
+    shift = replace(at_once(), block="imu0.accelerometer.sensitivity")
+    assert found(pulls(1), sudden=lambda: shift) == (shift,)
+    assert found(pulls(1), sudden=lambda: None) == ()
+    (own,) = found(pulls(4, changed=only(shift.block, [2.0, 2.0, 2.0]), share=step(20)), sudden=lambda: shift)
+    assert own is not shift
 
 
 def test_a_bias_that_wanders_is_no_change_and_hides_none():

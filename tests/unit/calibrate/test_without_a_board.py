@@ -69,7 +69,7 @@ def test_a_room_calibrates_as_a_board_does():
     assert "scene-size" in {finding.code for finding in calibration.assessment.findings}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_rolling_shutter_that_nobody_stated_is_found_by_the_landmarks():
     simulation, recording, target = mapped(replace(SMALL, line_delay_s=4e-5))
     calibration = gnomon.calibrate_camera_imu(recording, target).calibration

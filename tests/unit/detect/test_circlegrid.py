@@ -101,6 +101,7 @@ def test_the_middles_of_ellipses_are_not_the_centres_of_discs(target, monkeypatc
     assert biased > 10 * corrected
 
 
+@pytest.mark.first(6)
 @pytest.mark.parametrize("roll", [0.3, 1.9, -2.0])
 @pytest.mark.parametrize(
     "target",

@@ -67,6 +67,7 @@ def test_memory_stays_bounded():
     assert peak < 0.15 * frames * image.size
 
 
+@pytest.mark.first(2)
 @pytest.mark.parametrize("name", QUICK)
 def test_hard_videos(name):
     video = simulate_platter_video(scenario(**HARD[name]), seed=3)

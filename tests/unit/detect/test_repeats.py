@@ -45,6 +45,19 @@ def test_copies_are_found_where_they_are(step):
     assert (between.first, between.first_stop, between.second) == (1500, 2000, 0)
 
 
+@pytest.mark.parametrize("decimals", [9, 4, 3])
+def test_copies_with_other_decimals_are_found(decimals):
+    values = noise(3000)
+    copy = np.round(values[1000:2000], decimals)
+    assert sum(one.second_stop - one.second for one in repeated_stretches(np.vstack([values, copy]))) > 900
+    (between,) = repeated_stretches(values, copy)
+    assert abs(between.first - 1000) <= 1
+    watch = RepeatWatch()
+    for start in range(0, 4000, 500):
+        watch.add(np.vstack([values, copy])[start : start + 500], np.arange(start, start + 500) * 0.01)
+    assert len(watch.copies()[0])
+
+
 def test_samples_that_were_held_are_found_too():
     values = np.repeat(noise(500), 5, axis=0)  # a slow sensor in a fast log
     (found,) = repeated_stretches(np.vstack([values, values[500:1500]]))
@@ -82,10 +95,10 @@ def appended_to_itself(recording: Recording) -> Recording:
 
 
 def test_a_recording_appended_to_itself_is_refused(simulated):
-    with pytest.raises(RecordingError, match="bit by bit"):
+    with pytest.raises(RecordingError, match="once more"):
         gnomon.calibrate_imu(appended_to_itself(simulated), OPTIONS)
     rests = replace(OPTIONS, model="static")
-    with pytest.raises(RecordingError, match="bit by bit"):
+    with pytest.raises(RecordingError, match="once more"):
         gnomon.calibrate_imu(appended_to_itself(simulated), rests)
 
 

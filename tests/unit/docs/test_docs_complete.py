@@ -36,6 +36,7 @@ from gnomon.recording import FrameQuality
 from gnomon.results.calibration import calibration_parameters
 from gnomon.results.camera_diagnostics import SceneMap
 from gnomon.results.trust import ParameterChange, WeakDirection
+from gnomon.study.circuit import PROBES
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.diagnostics_file import diagnostic_arrays
 from support.faults import fault_named, faults
@@ -272,6 +273,22 @@ def test_every_need_of_every_use_is_documented():
     known = {name: {q: parse_sigma(q, words) for q, words in needs.items()} for name, needs in written.items()}
     uses = {name: use.needs for name, use in USES.items()} | {GENERAL: {**GENERAL_RIG.needs, **GENERAL_IMU.needs}}
     assert known == {name: {q: pytest.approx(size) for q, size in needs.items()} for name, needs in uses.items()}
+
+
+def test_the_limits_of_odometry_follow_from_the_circuit():
+    """Each is the drift by itself, over the root of eight, over what a small error adds, and rounded in the code."""
+    section = text("validation.md").split("\n## Round a circuit")[1].split("\n## ")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in re.findall(r"^\| .*", section, re.M)]
+    rows = rows[next(k for k, row in enumerate(rows) if row[0] == "off in") + 1 :]
+    assert len(rows) == len(PROBES)
+    drift_cm = float(re.search(r"Noise alone costs ([\d.]+) cm", section).group(1))
+    for (name, probe), (words, _, _, small, added, _, _, follows, limits) in zip(PROBES.items(), rows, strict=True):
+        assert parse_sigma(name, small) == pytest.approx(probe), words
+        derived = probe * drift_cm / np.sqrt(8) / float(added)
+        assert parse_sigma(name, follows) == pytest.approx(derived, rel=0.06 / float(added)), words
+        now, unit = limits.split(", ")[1].split(" ", 1)
+        assert parse_sigma(name, f"{now} {unit}") == pytest.approx(USES["vio"].needs[name]), words
+        assert USES["vio"].needs[name] == pytest.approx(derived, rel=0.1), words
 
 
 def test_the_warnings_whose_error_is_not_in_the_sigmas_are_listed():

@@ -37,6 +37,7 @@ def errors_in_sigmas(result, truth, at_degc):
     return np.array(z)
 
 
+@pytest.mark.first(2)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("order", "lag_s", "step_k", "seed"), [(1, 0.0, 0.1, 1), (2, 20.0, 0.1, 2), (3, 0.0, 0.5, 3), (2, 40.0, 0.01, 4)]

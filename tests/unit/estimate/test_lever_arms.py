@@ -251,6 +251,7 @@ def test_arms_are_found_where_they_are_asked_for(recorded):
     assert np.linalg.norm(plain.cameras["cam0"].T_cam_imu[:3, 3] - true) > 4 * np.linalg.norm(camera - true)
 
 
+@pytest.mark.first(2)
 @pytest.mark.parametrize("origin", ["optimal", "x", "z", "0.01,-0.02,0.003"])
 def test_the_default_is_of_the_point_that_it_names(recorded, origin):
     """Lever arms are always estimated, at any origin the same rig, and best known at p*."""

@@ -44,6 +44,7 @@ SCENARIOS = {
 }
 
 
+@pytest.mark.first(1)
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_sigmas_are_honest(name) -> None:
     """Errors that are correlated in time would make sigmas of independent errors three to six times too small."""

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.result.residual_patterns import _neighbours, _pattern, along_board
+from gnomon.estimate.camera_imu.result.residual_patterns import (
+    CountingCorners,
+    _neighbours,
+    _pattern,
+    along_board,
+    missing_term,
+)
 from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
+from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0
@@ -66,3 +73,39 @@ def test_neighbours_of_tags_are_the_same_corners_of_the_next_tag():
     np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.104)
     plain = BoardPoints.nominal(Target.checkerboard(cols=4, rows=3, row_spacing_m=0.03, col_spacing_m=0.03))
     assert len(_neighbours(plain)) == 3 * 3 + 4 * 2
+
+
+@pytest.mark.parametrize(("size", "asked"), [(0.0, False), (0.05, True)])
+def test_a_lens_moves_by_the_term_that_its_series_lacks(size, asked):
+    """Corners of a lens with k3 = `size`, seen through the best radtan: refitted, that moves by what the term gives."""
+    rng, most = np.random.default_rng(9), 6000
+    lens = Camera(
+        projection="pinhole",
+        intrinsics=np.array([460.0, 460.0, 376.0, 240.0]),
+        distortion="radtan",
+        distortion_coeffs=np.array([-0.3, 0.1, 0.0, 0.0]),
+        resolution=(752, 480),
+    )
+    pixels = rng.uniform([40, 40], [711, 439], (most, 2))
+    rays, seen = lens.unproject(pixels)
+    assert seen.all()
+    flat = rays[:, :2] / rays[:, 2:]
+    term = 460.0 * flat * np.sum(flat**2, axis=1, keepdims=True) ** 3
+    image = lens.project(rays, parameters_jacobian=True)
+    turned = np.cross(image.by_point, rays[:, None, :])
+    known = np.concatenate([turned, image.by_parameters], axis=2).reshape(2 * most, -1)
+    noise = 0.2 * rng.standard_normal((most, 2))
+    off = (size * term + noise).ravel()
+    left = off - known @ np.linalg.lstsq(known, off, rcond=None)[0]
+    corners = CountingCorners(
+        residual=left.reshape(-1, 2),
+        on_board=left.reshape(-1, 2),
+        frame=np.arange(most) // 100,
+        point=np.arange(most) % 100,
+        t_s=np.arange(most) // 100 / 2.0,
+        pixels=pixels / lens.resolution,
+    )
+    moved = missing_term(lens, corners)
+    expected = np.linalg.lstsq(known, size * term.ravel(), rcond=None)[0][3:]
+    assert moved.any() == asked
+    np.testing.assert_allclose(moved, expected, rtol=0.2, atol=1e-12 if not asked else 0.02 * np.abs(expected).max())

@@ -137,6 +137,7 @@ def turntable(rng, *, directions=False, g_sensitivity=False, rest=True, speeds=(
     return poses, SENSITIVITY @ turn
 
 
+@pytest.mark.first(2)
 @pytest.mark.parametrize(
     ("kind", "degrees"),
     [

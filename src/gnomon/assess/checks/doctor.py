@@ -123,12 +123,13 @@ def _stirred(values: Floats, t_s: Floats, grid: Floats) -> Floats:
     last = np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1)
     last = np.minimum(last, len(t_s))
     first = np.minimum(first, last - 1)
-    values = values - values.mean(axis=0)
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
-    squares = np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))])
+    columns = np.zeros((3, len(values) + 1))
+    columns[:, 1:] = values.T
+    columns[:, 1:] -= columns[:, 1:].mean(axis=1, keepdims=True)
+    sums, squares = np.cumsum(columns, axis=1), np.cumsum((columns**2).sum(axis=0))
     count = (last - first).astype(np.float64)
-    mean = (sums[last] - sums[first]) / count[:, None]
-    variance = np.maximum((squares[last] - squares[first]) / count - (mean**2).sum(axis=1), 0.0)
+    mean = (sums[:, last] - sums[:, first]) / count
+    variance = np.maximum((squares[last] - squares[first]) / count - (mean**2).sum(axis=0), 0.0)
     level = np.log(variance + np.quantile(variance, 0.2) + 1e-30)
     level = level - level.mean()
     return level / max(float(level.std()), 1e-12)

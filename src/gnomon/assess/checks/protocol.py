@@ -98,10 +98,8 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     accelerometer, found = imu.accelerometer, Rests.none()
     if detection is not None:
         accelerometer, found = detection.motion.samples, detection.chosen.rests
-    imu, rests = (
-        replace(imu, accelerometer=accelerometer, gyroscope=repair_samples(imu.gyroscope)),
-        found.intervals,
-    )
+        imu = replace(imu, accelerometer=accelerometer, gyroscope=detection.gyroscope)
+    rests = found.intervals
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
     if unrest > _MOVING:
         return [make_finding("never-static", label=label, duration_s=accelerometer.duration_s)]

@@ -258,8 +258,8 @@ _LISTED, _MANY_ISOLATED = 6, 1e-3  # isolated readings; the share from which on 
 
 def axis_extremes(values: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and the largest value of each axis, (3,) each; column by column, which is fast."""
-    columns = [values[:, axis] for axis in range(3)]
-    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+    columns = np.ascontiguousarray(values.T)
+    return columns.min(axis=1), columns.max(axis=1)
 
 
 def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None = None) -> list[Finding]:
@@ -288,7 +288,7 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
 
 
 def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
-    """Return a finding where stretches of samples occur twice, bit by bit; nothing where none does."""
+    """Return a finding where stretches of samples occur twice; nothing where none does."""
     repeats = repeated_stretches(samples.values)
     copies = np.zeros(len(samples), dtype=bool)
     for repeat in repeats:

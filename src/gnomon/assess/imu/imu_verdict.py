@@ -7,6 +7,7 @@ import numpy as np
 from ...estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
 from ...estimate.multiposition.noise_levels import rotation_variance
 from ...estimate.multiposition.scaling import ImuEstimate
+from ...estimate.multiposition.sudden_changes import least_turn_seen
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
@@ -91,6 +92,15 @@ def rotation_scatter(evidence: ImuFitSummary) -> list[Finding]:
     ]
 
 
+def _unseen_turn(evidence: ImuFitSummary) -> list[Finding]:
+    """Say how small a turn of a triad in mid-recording passes, where general use would feel it."""
+    least = least_turn_seen(evidence.fit) if evidence.fit.rotation_used.any() else 0.0
+    if not _ROTATION_WARN_RAD < least < np.pi:
+        return []
+    rests = int(evidence.fit.interval_used.sum())
+    return [make_finding("turn-unseen", least=least, needed=_ROTATION_WARN_RAD, rests=rests)]
+
+
 _AXES = "xyz"
 _TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
 _UNIT_FACTOR = 1.5
@@ -129,6 +139,7 @@ def assess_imu(
         *([] if changed else step_findings(evidence, diagnostics)),
         *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
         *rotation_scatter(evidence),
+        *_unseen_turn(evidence),
         *model_incomplete(evidence.trust),
         *parts_disagree(evidence.trust.splits),
         *_allan_findings(diagnostics),

@@ -1,5 +1,6 @@
 """The temperature of an IMU before a camera: what its biases do with it, where it both rose and fell."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,37 +9,80 @@ from ...assess.imu.bias_steps import slope_finding
 from ...estimate.camera_imu.result.bias_temperature import biases_along, control_times
 from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import Solution
+from ...estimate.camera_imu.terms.inertial_data import InertialData, TriadData
 from ...estimate.camera_imu.trajectory import BIAS
 from ...estimate.multiposition.bias_changes import DECAYS
 from ...estimate.multiposition.bias_segments import BENDS_K, WEAK_LAG_S
-from ...findings import Finding
+from ...frozen import value_class
 from ...options.requirements import USUAL_SLOPE
 from ...recording import Floats, Recording
-from ...recording.thermometer import temperature_course
+from ...recording.thermometer import TemperatureCourse, temperature_course
 from ...results.calibration import Calibration
 from ...results.sensors import TemperatureDependence
+from .camera_imu_preparation import PreparedCameraImu
 from .temperature_while_turned import rose_and_fell, temperature_powers
 
 _LIKELY = 1e-5
 """Probability by chance below which a bias follows the temperature."""
 
 
+@value_class
+class BiasesOverTemperature:
+    """Slopes of the first IMU's biases: the dependence, and the covariance of each of its parts."""
+
+    known: TemperatureDependence
+    blocks: Mapping[str, Floats]
+
+    def added_to(self, calibration: Calibration) -> Calibration:
+        """Return the calibration with them, and what says how large they are."""
+        if not self.blocks:
+            return calibration
+        findings = [
+            slope_finding(part, getattr(self.known, part), own, self.known) for part, own in self.blocks.items()
+        ]
+        calibration = calibration.with_temperature(next(iter(calibration.imus)), self.known, self.blocks)
+        assessed = calibration.assessment
+        return replace(calibration, assessment=replace(assessed, findings=(*assessed.findings, *findings)))
+
+
+def without_slopes(
+    prepared: PreparedCameraImu, recording: Recording, known: TemperatureDependence
+) -> PreparedCameraImu:
+    """Return the readings without what the biases of the first IMU do with the temperature."""
+    course = _course(recording)
+    assert course is not None
+
+    def without(data: InertialData, name: str) -> TriadData | None:
+        triad: TriadData | None = getattr(data, name)
+        degc = course.at(prepared.origin_ns + np.round(1e9 * data.t_s).astype(np.int64))
+        return None if triad is None else replace(triad, values=triad.values - known.change(f"{name}_bias", degc))
+
+    inertial = tuple(
+        replace(data, **{name: without(data, name) for name in ("gyroscope", "accelerometer")})
+        if not data.imu
+        else data
+        for data in prepared.inertial
+    )
+    return replace(prepared, inertial=inertial)
+
+
 def biases_over_temperature(
-    calibration: Calibration, solution: Solution, certain: Uncertainty, recording: Recording, origin_ns: int
-) -> tuple[Calibration, list[Finding]]:
-    """Return the calibration with the slopes of the first IMU's biases where they are told, and say how large they are.
+    solution: Solution, certain: Uncertainty, recording: Recording, origin_ns: int, before: TemperatureDependence | None
+) -> BiasesOverTemperature | None:
+    """Return the slopes of the first IMU's biases where they are told.
 
     The biases stay means over the recording, which hold at its mean temperature. What they do with the temperature has
-    to show beside their random walk and an exponential decay in time, whatever its time constant.
+    to show beside their random walk and an exponential decay in time, whatever its time constant. Before it is taken
+    off the readings it is among their errors and widens all sigmas: it has to show beside ordinary ones then, and once
+    it is taken off beside those of clusters of time.
 
     Parameters
     ----------
     origin_ns : where the seconds of the trajectory start [ns]
+    before : slopes that are taken off the readings already, to which what is found is added: no others are told
     """
-    (name, sensor), samples = next(iter(calibration.imus.items())), next(iter(recording.imus.values())).temperature
-    course = temperature_course(samples) if samples is not None and rose_and_fell(samples) else None
-    if course is None or sensor.accelerometer is None or sensor.gyroscope is None:
-        return calibration, []
+    if (course := _course(recording)) is None:
+        return None
     from scipy.special import chdtrc  # on demand  # pyright: ignore[reportMissingTypeStubs]
 
     grid = solution.state.trajectory.grid
@@ -56,17 +100,22 @@ def biases_over_temperature(
     blocks: dict[str, Floats] = {}
     for triad, scalars in (("accelerometer", range(3, 6)), ("gyroscope", range(3))):  # as the covariance lists them
         at = np.array([power * BIAS + scalar for power in kept for scalar in scalars])
-        told = [
-            (found.ravel()[at], covariance[np.ix_(at, at)] * _widened(certain, scalars)) for found, covariance in each
-        ]
+        if before is not None and getattr(before, f"{triad}_bias") is None:
+            continue
+        taken = 0.0 if before is None else getattr(before, f"{triad}_bias").ravel()
+        widened = 1.0 if before is None else _widened(certain, scalars)
+        told = [(found.ravel()[at] + taken, covariance[np.ix_(at, at)] * widened) for found, covariance in each]
         values, own = min(told, key=lambda one: one[0][:3] @ np.linalg.solve(one[1][:3, :3], one[0][:3]))
         if chdtrc(3, float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3]))) < _LIKELY:
             known = replace(known, **{f"{triad}_bias": values.reshape(-1, 3)})
             blocks[f"{triad}_bias"] = own
-    if not blocks:
-        return calibration, []
-    findings = [slope_finding(part, getattr(known, part), own, known) for part, own in blocks.items()]
-    return calibration.with_temperature(name, known, blocks), findings
+    return BiasesOverTemperature(known=known, blocks=blocks)
+
+
+def _course(recording: Recording) -> TemperatureCourse | None:
+    """Return the temperature of the first IMU where it rose and fell."""
+    samples = next(iter(recording.imus.values())).temperature
+    return temperature_course(samples) if samples is not None and rose_and_fell(samples) else None
 
 
 def _expected(count: int) -> Floats:

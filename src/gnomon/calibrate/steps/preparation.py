@@ -310,7 +310,7 @@ def refuse_same_data(recordings: Sequence[Recording], names: Sequence[str]) -> N
         if shared and one is not None and other is not None:
             count = sum(repeat.first_stop - repeat.first for repeat in shared)
             raise RecordingError(
-                f"{names[i]} and {names[j]} share {count} samples, bit by bit: those of {names[i]} from "
+                f"{names[i]} and {names[j]} share {count} samples: those of {names[i]} from "
                 f"{one.t_s[shared[0].first]:.2f} s on are those of {names[j]} from {other.t_s[shared[0].second]:.2f} s "
                 "on. They would count twice. Leave one recording out, or cut what they share out of one."
             )
@@ -327,9 +327,13 @@ def _on_time_base(
     samples: ImuSamples, findings: tuple[Finding, ...], rests: RestDetection | None, options: ImuOptions
 ) -> PreparedImu:
     counted = options.time_base == "uniform"
-    accelerometer, gyroscope = (
-        repair_samples(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
-    )
+    if rests is not None:
+        accelerometer, gyroscope, saturated = rests.motion.samples, rests.gyroscope, rests.motion.saturated
+    else:
+        accelerometer, gyroscope = (
+            repair_samples(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
+        )
+        saturated = saturated_samples(accelerometer, options.accelerometer_range)
     origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
     accelerometer_time = time_base(accelerometer, origin, options.time_base)
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
@@ -340,7 +344,7 @@ def _on_time_base(
         gyroscope=gyroscope,
         accelerometer_time=accelerometer_time,
         gyroscope_time=gyroscope_time,
-        accelerometer_saturated=saturated_samples(accelerometer, options.accelerometer_range),
+        accelerometer_saturated=saturated,
         gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
@@ -396,7 +400,8 @@ def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibrat
 def weighted_stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
     """Return samples with their noise at rest, as estimation needs them."""
     of_means, of_increments = resting_noise(samples.values, still, samples.rate_hz)
-    rounded = np.nan_to_num(smallest_steps(samples.values)) ** 2 / 12 / samples.rate_hz  # in motion it is white
+    step = np.nan_to_num(smallest_steps(samples.values))
+    rounded = step**2 / 12 / samples.rate_hz  # in motion it is white
     return TriadStream(
         t_s=t_s,
         values=samples.values,
@@ -404,6 +409,6 @@ def weighted_stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still
         rate_hz=samples.rate_hz,
         density=of_means,
         density_in_motion=np.maximum(of_increments, rounded),
-        rounding=rounding_variance(samples.values, still),
+        rounding=rounding_variance(samples.values, still, step),
         intervals=still,
     )

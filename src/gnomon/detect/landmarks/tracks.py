@@ -8,6 +8,7 @@ Points of a scene, followed from image to image by optical flow (Lucas and Kanad
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -200,6 +201,7 @@ def blur_image(image: NDArray[Any], sigma_px: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px), np.float32) if sigma_px else light
 
 
+@cache
 def _grid(level: _Level, border: int = 0) -> Floats:
     reach = np.arange(-level.half - border, level.half + border + 1, dtype=np.float64) * level.stride
     v, u = np.meshgrid(reach, reach, indexing="ij")
@@ -313,13 +315,11 @@ def _fresh_points(image: Grey, taken: np.ndarray) -> np.ndarray:
     mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
     for x, y in taken.tolist():
         cv2.circle(mask, (round(x), round(y)), _APART_PX, 0, -1)
-    strength = cv2.cornerMinEigenVal(image, 5)
-    strength[mask == 0] = 0.0
-    if not (strength > _LEAST_CORNER).any():
-        return np.empty((0, 2), np.float32)
-    mask[strength < _LEAST_CORNER] = 0
-    found: Any = cv2.goodFeaturesToTrack(image, _POINTS - len(taken), _QUALITY, _APART_PX, mask=mask, blockSize=5)
-    if found is None:  # which its stubs do not know
+    found, strength = cv2.goodFeaturesToTrackWithQuality(
+        image, _POINTS - len(taken), _QUALITY, _APART_PX, mask, blockSize=5
+    )
+    found = found[strength.ravel() >= _LEAST_CORNER] if found is not None else ()  # which its stubs do not know
+    if not len(found):
         return np.empty((0, 2), np.float32)
     return cv2.cornerSubPix(
         image, found, (3, 3), (-1, -1), (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 10, 0.05)

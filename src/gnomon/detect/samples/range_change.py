@@ -101,8 +101,7 @@ def saturated_samples(samples: TriadSamples, full_scale: float | None = None) ->
     marked = np.zeros(len(samples), bool)
     if len(samples) < 4:
         return marked
-    for axis in range(3):
-        values = samples.values[:, axis]
+    for values in np.ascontiguousarray(samples.values.T):
         noise, median = _noise_and_median(values)
         for extreme in (values.max(), values.min()):
             near = float(abs(extreme - median))

@@ -68,15 +68,20 @@ def _off_the_line(values: Floats) -> Booleans:
     found = np.zeros(n, dtype=bool)
     if n < 2 * k + 2:
         return found
-    padded = np.pad(values, ((k, k), (0, 0)), mode="reflect")
-    off = np.abs(padded[k:-k] - 0.5 * (padded[k - 1 : -k - 1] + padded[k + 1 : n + k + 1]))
-    usual = np.array([_usual(off[:, axis]) for axis in range(3)])
-    at = np.flatnonzero((off > _OFF * usual).any(axis=1))
-    around = padded[at[:, None] + np.r_[0:k, k + 1 : 2 * k + 1]]
+    columns = np.ascontiguousarray(values[np.r_[1, 0:n, n - 2]].T)  # along which all is fast; mirrored at both ends
+    off = np.abs(columns[:, 1:-1] - 0.5 * (columns[:, :-2] + columns[:, 2:]))
+    usual = np.array([_usual(axis) for axis in off])
+    most = (off / usual[:, None]).max(axis=0)
+    far = most > _OFF
+    far[2:] &= most[2:] > 1.9 * _OFF * most[:-2]  # of the bends below; most samples of a motion end here
+    far[:-2] &= most[:-2] > 1.9 * _OFF * most[2:]
+    at = np.flatnonzero(far)
+    beside = np.abs(at[:, None] + np.r_[-k:0, 1 : k + 1])
+    around = values[np.where(beside < n, beside, 2 * (n - 1) - beside)]
     slopes = np.diff(around, axis=1)
     slopes[:, k - 1] *= 0.5  # over two periods
     bends = (np.abs(np.diff(slopes, axis=1)).max(axis=1) / usual).max(axis=1)
-    found[at] = (off[at] / usual > _OFF * np.maximum(bends, 1.0)[:, None]).any(axis=1)
+    found[at] = (off[:, at].T / usual > _OFF * np.maximum(bends, 1.0)[:, None]).any(axis=1)
     return found
 
 

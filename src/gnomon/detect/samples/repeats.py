@@ -1,4 +1,7 @@
-"""Stretches of samples that occur twice, bit by bit: a file appended to itself, or two that share a part.
+"""Stretches of samples that occur twice: a file appended to itself, or two that share a part.
+
+Copies that were written with other decimals differ by less than samples do: readings are compared in steps of half of
+what the smallest tenth of all changes is.
 
 Sensors repeat single readings by chance, and at rest, coarsely quantised, they do so all the time. Readings that do not
 change are therefore counted once, and a stretch counts from 64 changes in succession on, between at least 32 different
@@ -13,6 +16,7 @@ from ...recording import Floats, Integers
 
 _LENGTH = 64  # successive different readings
 _DISTINCT = 32  # of them
+_SMALL = 0.1  # quantile of changes
 _MOST_OFFSETS = 16
 _MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
 _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
@@ -45,11 +49,13 @@ def repeated_stretches(values: Floats, other: Floats | None = None) -> list[Repe
     values : (n, 3)
     other : (m, 3) in which copies are looked for; in `values` itself where not given
     """
-    at, readings = _changes(values)
-    at_other, others = (at, readings) if other is None else _changes(other)
+    step = _coarseness(values)
+    at, readings = _changes(_in_steps(values, step))
+    at_other, others = (at, readings) if other is None else _changes(_in_steps(other, step))
     if min(len(readings), len(others)) < _LENGTH:
         return []
-    hashes, hashes_other = _stretch_hashes(_row_hashes(readings)), _stretch_hashes(_row_hashes(others))
+    hashes = _stretch_hashes(_row_hashes(readings))
+    hashes_other = hashes if other is None else _stretch_hashes(_row_hashes(others))
     offsets = _offsets(hashes, hashes_other, same=other is None)
     found = [run for offset in offsets for run in _runs(readings, others, offset)]
     ends, ends_other = np.append(at, len(values)), np.append(at_other, len(values if other is None else other))
@@ -69,15 +75,18 @@ class RepeatWatch:
     """Looks for stretches that occur twice in samples that come block by block, in memory that does not grow."""
 
     def __init__(self) -> None:
-        self._readings, self._t_s = np.empty((0, 3)), np.empty(0)  # not yet looked for
+        self._readings, self._t_s = np.empty((0, 3)), np.empty(0)  # not yet looked for, in steps
+        self._step: Floats | None = None
         self._hashes, self._at_s = np.empty(0, np.uint64), np.empty(0)  # of stretches seen, in the order of the hashes
         self._every, self._stretches = _LENGTH, 0
         self._found: list[Floats] = []  # when a stretch begins, and when it did before [s]
 
     def add(self, values: Floats, t_s: Floats) -> None:
         """Take the next samples (n, 3) and when they were measured (n,) [s]."""
+        if self._step is None:
+            self._step = _coarseness(values)
         before = self._readings[-1:]
-        at, readings = _changes(np.concatenate([before, values]))
+        at, readings = _changes(np.concatenate([before, _in_steps(values, self._step)]))
         at, readings = at[len(before) :], readings[len(before) :]
         self._readings = np.concatenate([self._readings, readings])
         self._t_s = np.concatenate([self._t_s, t_s[at - len(before)]])
@@ -114,6 +123,16 @@ class RepeatWatch:
         return found[back == distances[np.argmax(count)]], min(share, 1.0)
 
 
+def _coarseness(values: Floats) -> Floats:
+    """Return steps (3,) in which readings are compared."""
+    changes = [np.abs(column[column != 0]) for column in np.diff(values, axis=0).T]
+    return np.array([np.quantile(change, _SMALL) / 2 if len(change) else 1.0 for change in changes])
+
+
+def _in_steps(values: Floats, step: Floats) -> Floats:
+    return np.round(values / step) + 0.0  # no negative zeros, whose bits differ
+
+
 def _changes(values: Floats) -> tuple[Integers, Floats]:
     """Return where the reading changes (k,), and the readings from there on (k, 3)."""
     if not len(values):
@@ -145,9 +164,13 @@ def _offsets(hashes: _Hashes, others: _Hashes, *, same: bool) -> list[int]:
     """Return by how much copies are shifted, the most frequent first; every 64th stretch is looked for."""
     anchors = np.arange(0, len(hashes), _LENGTH)
     unique, first = np.unique(hashes[anchors], return_index=True)
-    place = np.minimum(np.searchsorted(unique, others), len(unique) - 1)
-    hits = np.flatnonzero(unique[place] == others)
-    shift = hits - anchors[first[place[hits]]]
+    ends = np.zeros(1 << 16, dtype=bool)  # of the hashes: most are told apart by them
+    ends[unique & 0xFFFF] = True
+    hits = np.flatnonzero(ends[others & 0xFFFF])
+    place = np.minimum(np.searchsorted(unique, others[hits]), len(unique) - 1)
+    same_hash = unique[place] == others[hits]
+    hits = hits[same_hash]
+    shift = hits - anchors[first[place[same_hash]]]
     if same:
         shift = shift[shift >= _LENGTH]
     values, counts = np.unique(shift, return_counts=True)
@@ -158,7 +181,8 @@ def _runs(readings: Floats, others: Floats, offset: int) -> list[tuple[int, int,
     """Return start and number of the readings that are repeated at an offset, and the offset."""
     start = max(0, -offset)
     count = min(len(readings) - start, len(others) - start - offset)
-    alike = (readings[start : start + count] == others[start + offset : start + offset + count]).all(axis=1)
+    apart = np.abs(readings[start : start + count] - others[start + offset : start + offset + count])
+    alike = np.asarray((apart <= 1).all(axis=1), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alike.view(np.int8), [0]])))
     runs = [(start + int(a), int(b - a), offset) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [

@@ -32,7 +32,7 @@ _SCATTER = _NOISE**2 + 1 / 12 - _OF_MEANS
 """Of rounded samples about their mean: what noise and rounding do together, less what the mean has of it."""
 
 
-def rounding_variance(values: Floats, intervals: StaticIntervals) -> Floats:
+def rounding_variance(values: Floats, intervals: StaticIntervals, step: Floats | None = None) -> Floats:
     """Return the variance of each mean at rest that rounding makes, (n, 3) [unit^2], however long the rest is.
 
     It is D^2 / 12 for steps D where all samples of all rests read one code.
@@ -41,8 +41,9 @@ def rounding_variance(values: Floats, intervals: StaticIntervals) -> Floats:
     ----------
     values : (m, 3) [unit]
     intervals : n static intervals
+    step : (3,) of the values, 0 where they never change; found where it is not given
     """
-    step = np.nan_to_num(smallest_steps(values))
+    step = np.nan_to_num(smallest_steps(values)) if step is None else step
     inside = np.zeros(len(values), dtype=bool)
     for start, stop in zip(intervals.start, intervals.stop, strict=True):
         inside[start + 1 : stop] = True  # the difference to the sample before is one of this rest

@@ -61,12 +61,14 @@ class RestDetection:
     motion : what the detectors saw
     chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken. Rests of
         the one taken are with those that only a higher threshold shows, which are not used
+    gyroscope : repaired samples
     range_change : where the accelerometer began to read another magnitude; rests of one side are used
     """
 
     motion: RestStatistics
     chosen: ThresholdTrial
     trials: tuple[ThresholdTrial, ...]
+    gyroscope: TriadSamples
     range_change: RangeChange | None = None
 
 
@@ -110,7 +112,7 @@ def detect_rests(
             steady = replace(motion, statistic=np.where(motion.marks.turns, np.inf, motion.statistic))
             loudest = find_rests(steady, _LOUDEST, _shortest(accelerometer))
         chosen = replace(chosen, rests=_with_unused(chosen.rests, loudest, change))
-    return RestDetection(motion=motion, chosen=chosen, trials=trials, range_change=change)
+    return RestDetection(motion=motion, chosen=chosen, trials=trials, gyroscope=gyroscope, range_change=change)
 
 
 def _range_change(samples: TriadSamples, rests: tuple[Rests, ...], gravity_m_s2: float) -> RangeChange | None:

@@ -7,7 +7,7 @@ is held by the damping alone; a camera and an IMU tell it afterwards.
 from typing import Any
 
 import numpy as np
-from scipy.sparse import bsr_array  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse import csr_array  # pyright: ignore[reportUnknownVariableType]
 
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec, skew
@@ -18,7 +18,7 @@ _ROUNDS = 25
 _DAMPING, _LEAST_DAMPED, _MOST_DAMPED = 1e-4, 1e-8, 1e4
 _AT_REST = 1e-3  # relative gain of the cost
 _HUBER = 2.0
-_DENSE = 0.05  # share of the points in a key frame, from which on zeros for all others cost less
+_TOGETHER = 32  # points that are eliminated at once
 _FAR_PX = 100.0  # of a point that has no image
 
 
@@ -107,27 +107,47 @@ def _step(
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.sqrt(np.where(np.isfinite(off), np.minimum(1.0, _HUBER / off), 0.0)) / sigma
     e, A, B = (np.nan_to_num(part) * weight.reshape(-1, *[1] * (part.ndim - 1)) for part in linear)
-    U, V, u, v = np.zeros((K, 6, 6)), np.zeros((N, 3, 3)), np.zeros((K, 6)), np.zeros((N, 3))
-    At, Bt = np.swapaxes(A, 1, 2), np.swapaxes(B, 1, 2)
-    np.add.at(U, frame, At @ A)
-    np.add.at(V, point, Bt @ B)
-    np.add.at(u, frame, -np.einsum("mji,mj->mi", A, e))
-    np.add.at(v, point, -np.einsum("mji,mj->mi", B, e))
+    At, Bt, each = np.swapaxes(A, 1, 2), np.swapaxes(B, 1, 2), e[:, :, None]
+    U, V = _summed(At @ A, frame, K), _summed(Bt @ B, point, N)
+    u, v = -_summed(At @ each, frame, K), -_summed(Bt @ each, point, N)
     _damp(U, damping)
     _damp(V, damping)
-    inverse = np.linalg.inv(V)
-    order = np.lexsort((point, frame))
-    start = np.searchsorted(frame[order], np.arange(K + 1))
-    coupling: Any = bsr_array(((At @ B)[order], point[order], start), shape=(6 * K, 3 * N))
-    if len(frame) > _DENSE * K * N:
-        coupling = coupling.toarray()
-    eliminated = (bsr_array((np.swapaxes(inverse, 1, 2), np.arange(N), np.arange(N + 1))) @ coupling.T).T
-    product = eliminated @ coupling.T
-    reduced = product if isinstance(product, np.ndarray) else product.toarray()
-    reduced.reshape(K, 6, K, 6)[np.arange(K), :, np.arange(K)] -= U
-    poses = np.linalg.solve(reduced, eliminated @ v.ravel() - u.ravel())
-    places = np.einsum("nij,nj->ni", inverse, v - (coupling.T @ poses).reshape(N, 3))
-    return poses.reshape(K, 6), places
+    inverse, coupling = np.linalg.inv(V), At @ B
+    eliminated = coupling @ inverse[point]
+    rhs = u - _summed(eliminated @ v[point], frame, K)
+    poses = np.linalg.solve(_reduced(U, eliminated, coupling, frame, point), rhs.ravel()).reshape(K, 6)
+    back = _summed(np.swapaxes(coupling, 1, 2) @ poses[frame, :, None], point, N)
+    return np.asarray(poses, np.float64), (inverse @ (v - back))[:, :, 0]
+
+
+def _reduced(U: Floats, eliminated: Floats, coupling: Floats, frame: Integers, point: Integers) -> Floats:
+    """Return the equations of the poses (6 k, 6 k) without the points.
+
+    Points that come into sight one after the other are eliminated together: few key frames see any of them.
+    """
+    K, N = len(U), int(point.max(initial=-1)) + 1
+    reduced = np.zeros((K, 6, K, 6))
+    reduced[np.arange(K), :, np.arange(K)] = U
+    first = np.full(N, K)
+    np.minimum.at(first, point, frame)
+    rank = np.argsort(np.argsort(first, kind="stable"), kind="stable")[point]
+    order = np.argsort(rank, kind="stable")
+    for rows in np.split(order, np.searchsorted(rank[order], np.arange(_TOGETHER, N, _TOGETHER))):
+        if not len(rows):
+            continue
+        low, high, number = frame[rows].min(), frame[rows].max() + 1, rank[rows] % _TOGETHER
+        sides = np.zeros((2, high - low, 6, _TOGETHER, 3))
+        for side, part in zip(sides, (eliminated, coupling), strict=True):
+            side[frame[rows] - low, :, number] = part[rows]
+        left, right = sides.reshape(2, 6 * (high - low), -1)
+        reduced[low:high, :, low:high] -= (left @ right.T).reshape(high - low, 6, high - low, 6)
+    return reduced.reshape(6 * K, 6 * K)
+
+
+def _summed(parts: Floats, at: Integers, count: int) -> Floats:
+    """Return the sums (count, ...) of the parts (m, ...) at each number."""
+    member: Any = csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(count, len(at)))
+    return (member @ parts.reshape(len(at), -1)).reshape(count, *parts.shape[1:])
 
 
 def _damp(blocks: Floats, damping: float) -> None:

@@ -51,7 +51,7 @@ from .sampling import with_sampling_error
 _MOST_ITERATIONS = 30
 _NEGLIGIBLE_STEP = 1e-4  # of a sigma; Gauss-Newton's next step would be a thousand times smaller
 _ROUGH_STEP = 0.5  # of a sigma; enough to judge residuals
-_GATE_SIGMA = 5.0
+GATE_SIGMA = 5.0
 _REWEIGHTINGS = 8
 _SUSPICIOUS = 3.5  # times the median size; the largest of forty is 2.3 times as large
 _FEWEST_INTERVALS = 9
@@ -487,8 +487,8 @@ def _gate_outliers(
         np.sum(np.einsum("kij,kj->ki", whitening.gyroscope, lines.gyroscope) ** 2, axis=1) / 3,
     )
     turn = np.sum((whitening.rotation[:, None] * lines.rotation) ** 2, axis=1) / 2
-    kept = used[0] & (still < _GATE_SIGMA**2)
-    linked = used[1] & (turn < _GATE_SIGMA**2) & kept[1:] & kept[:-1]
+    kept = used[0] & (still < GATE_SIGMA**2)
+    linked = used[1] & (turn < GATE_SIGMA**2) & kept[1:] & kept[:-1]
     if kept.sum() < _FEWEST_INTERVALS or kept.sum() < 0.6 * used[0].sum() or linked.sum() < 0.6 * used[1].sum():
         return used
     return kept, linked

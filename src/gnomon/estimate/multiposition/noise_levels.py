@@ -85,7 +85,7 @@ def estimate_extra_variance(
         _modes(lines.gyroscope, data.gyroscope_variance, invert_matrix(c_g), data.earth_rate_variance),
         (lines.rotation**2 / turns[:, None], 1 / np.stack([turns, turns], axis=1)),
     )
-    redundancy = _redundancies(lines, arrow, whitening, free)
+    redundancy = residual_freedom(lines, arrow, whitening, free)
     kept = (whitening.accelerometer[:, 0, 0] > 0, whitening.gyroscope[:, 0, 0] > 0, whitening.rotation > 0)
     matching = _robust_variance if robust else _matching_variance
     found = [
@@ -162,7 +162,7 @@ def rotation_rows(
     return np.concatenate([first, second, theta_rows], axis=2), gain
 
 
-def _redundancies(
+def residual_freedom(
     lines: MultiPositionLinearization, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats, Floats]:
     """Return trace(I - H) of each interval's accelerometer and gyroscope residuals and of each rotation's."""

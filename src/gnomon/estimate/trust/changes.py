@@ -15,19 +15,13 @@ drawn to the mean of all directions as far as few clusters tell it. T^2 / rank f
 of all looks counts, and so does their number (Bonferroni). Views that may be of another lens each are sorted into two
 kinds, too, by what each tells of a block: any such sorting is a look, of 2^n.
 
-Few rests tell little of all nine scalars of a triad at once. What one cause moves, a turn of the triad in its housing
-or its three scales, is a block of its own: one more look, and three directions in place of nine. A turn at once is what
-happens most, and has a chance of its own (weighted Bonferroni: Holm, 1979). Nor do few rests tell their own scatter
-well; but the noise of a triad is known at rest. Where the scatter is no larger than that, the noise counts as so many
-clusters more (a prior on the variance, as Smyth, 2004).
-
 A lens or a board that the model does not quite describe errs by where the board is, and parts of a recording differ in
 that for longer than any cluster lasts. So what the longest clusters certainly show beyond independent errors is taken
 to average out no further.
 """
 
 import math
-from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
@@ -37,14 +31,13 @@ from itertools import pairwise
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from .clusters import ClusterSums
 
-_CHANCE, _OF_TURNS = 0.005, 0.01
-"""That a recording in which nothing changed is said to have changed; over all looks, and over those at sudden turns."""
+_CHANCE = 0.005
+"""That a recording in which nothing changed is said to have changed; over all looks."""
 
 _FEWEST_IN_PART = 5  # stretches
 _MOST = 3  # changes that are told apart
@@ -57,10 +50,6 @@ _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
 _LEAST_LEFT = 0.01  # of the variance of errors, once a change is in the model: less is rounding, and tells no scatter
 _CERTAIN = 2.0  # standard deviations of a variance
-TURN = "turn"
-"""Of a triad in its housing: what happens at once."""
-
-_NOISE_COUNTS = 20.0  # degrees of freedom that the noise at rest counts as: variances that it tells to 30 %
 _POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions counts as
 _INFLATED = 100.0  # variances that a change may have inflated, at most
 _SAME = 1e-8  # of the largest: rounding
@@ -129,7 +118,6 @@ class _Estimate:
     moves : (n, r) by which each stretch moves w, once the change is in the model
     by_errors : (n, r, r) covariance of these for independent errors of each stretch
     shared, common : (n, r, k), (k, k) of the errors, what the estimate itself takes: shared common shared' of any two
-    known : degrees of freedom that the ordinary covariance counts as, where the scatter is no larger
     """
 
     change: Floats
@@ -139,20 +127,15 @@ class _Estimate:
     by_errors: Floats
     shared: Floats
     common: Floats
-    known: float = 0.0
 
 
 @value_class
 class _Block:
-    """A block of scalars: path, rows (k,) among all scalars, directions (p, q) of the parameters that move it alone.
-
-    `cause` is what alone moves them so; "" where it is not asked for one.
-    """
+    """A block of scalars: path, rows (k,) among all scalars, directions (p, q) of the parameters that move it alone."""
 
     path: str
     rows: Integers
     directions: Floats
-    cause: str = ""
 
 
 def parameter_changes(
@@ -163,7 +146,7 @@ def parameter_changes(
     biases: Collection[str] = (),
     judged: Booleans | None = None,
     order: Integers | None = None,
-    causes: Mapping[str, Mapping[str, Floats]] | None = None,
+    sudden: Callable[[], ParameterChange | None] | None = None,
 ) -> tuple[ParameterChange, ...]:
     """Return the blocks of parameters that changed during a recording, most certain first.
 
@@ -176,35 +159,21 @@ def parameter_changes(
     judged : (m,) bool, scalars that were estimated and are to be judged; all where not given
     order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared, where each is a
         view by itself that may be of another kind than the next; not given where they follow each other in time
-    causes : of a path, names of causes and matrices (k, q) by which one alone moves its k scalars, see `triad_causes`
+    sudden : asked for a change by one cause at one instant, which may tell of a block that shows none otherwise
     """
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
         return ()
     if (postponed := _POSTPONED.get()) is not None:
         again = partial(parameter_changes, sums, jacobian, names, biases=biases, judged=judged, order=order)
-        postponed.append(partial(again, causes=causes))
+        postponed.append(partial(again, sudden=sudden))
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     sums, jacobian = _followed(sums, jacobian)
     blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
-    paths = np.array([name.partition("[")[0] for name in names], dtype=object)
-    blocks += [
-        _by_cause(block, jacobian, name, cause[np.searchsorted(np.flatnonzero(paths == block.path), block.rows)])
-        for block in blocks
-        for name, cause in (causes or {}).get(block.path, {}).items()
-    ]
     courses = _courses(sums.t_s, np.arange(n) if order is None else order)
-    borders, *others = (min(len(course), _BORDERS_COUNT) for course in courses)
-    turns = sum(block.cause == TURN for block in blocks) * borders
-    looks = len(blocks) * (borders + sum(others)) - turns
-    scan = _Scan(
-        sums=sums,
-        wandering=wandering,
-        looks=looks,
-        likely=turns * _CHANCE / _OF_TURNS,
-        sorting=order is not None,
-    )
+    looks = len(blocks) * sum(min(len(course), _BORDERS_COUNT) for course in courses)
+    scan = _Scan(sums=sums, wandering=wandering, looks=looks, sorting=order is not None)
     found: list[ParameterChange] = []
     for _ in range(min(_MOST, len(blocks))):
         best = scan.most_certain(blocks, courses)
@@ -213,6 +182,9 @@ def parameter_changes(
         found.append(scan.published(*best, jacobian, names))
         scan = scan.beside(*best)
         blocks = [other for other in blocks if other.path != best[0].path]
+    at_once = sudden() if sudden is not None else None
+    if at_once is not None and at_once.block not in {one.block for one in found}:
+        found.append(at_once)
     return tuple(found)
 
 
@@ -225,15 +197,13 @@ class _Scan:
     sums : of stretches
     wandering : (p, b) directions of the biases, or None
     looks : how many independent ones are as likely to find something by chance
-    likely : the same of turns at once, which have a chance of their own, in units of that of the others
     sorting : whether the stretches may be of two kinds in no order
     given : changes found before
     """
 
     sums: ClusterSums
     wandering: Floats | None
-    looks: float
-    likely: float = 0.0
+    looks: int
     sorting: bool = False
     given: tuple[_Term, ...] = ()
 
@@ -247,13 +217,12 @@ class _Scan:
         Of each course the cut that explains most is held against the scatter: beside the true border a part of what
         changed would count as scatter.
         """
-        best, least = None, _CHANCE
+        best, least = None, _CHANCE / self.looks
         explained = self._explained(blocks, [cut for course in courses for cut in course])
         ends = np.cumsum([len(course) for course in courses])
         for course, own in zip(courses, np.split(explained, ends[:-1]), strict=True):
             for block, at in zip(blocks, np.argmax(own, axis=0), strict=True):
-                looks = self._looks(block, course[at])
-                chance = looks * _chance(self._estimate(block, course[at]), len(self.sums), least / looks)
+                chance = _chance(self._estimate(block, course[at]), len(self.sums), least)
                 if chance < least:
                     best, least = (block, course[at]), chance
         for block in blocks if self.sorting else ():
@@ -261,16 +230,11 @@ class _Scan:
             chance = (
                 1.0
                 if cut is None
-                else self._looks(block, cut)
-                * _chance(self._estimate(block, cut), len(self.sums), least / self._looks(block, cut))
+                else cut.looks * _chance(self._estimate(block, cut), len(self.sums), least / cut.looks)
             )
             if cut is not None and chance < least:
                 best, least = (block, cut), chance
         return best
-
-    def _looks(self, block: _Block, cut: _Cut) -> float:
-        """Return among how many looks one is."""
-        return cut.looks * (self.likely if block.cause == TURN and math.isfinite(cut.at_s) else self.looks)
 
     def _sorted(self, block: _Block) -> _Cut | None:
         """Return the cut between stretches that tell of two values of a block; None where a part has too few."""
@@ -348,13 +312,12 @@ class _Scan:
             covariance=root @ scatter @ root.T,
             where=cut.words,
             at_s=cut.at_s,
-            chance=min(1.0, self._looks(block, cut) * _chance(found, n)),
+            chance=min(1.0, self.looks * cut.looks * _chance(found, n)),
         )
 
     def _estimate(self, block: _Block, cut: _Cut) -> _Estimate | None:
         biases = () if self.wandering is None else (_Term(cut=cut, directions=self.wandering),)
-        found = _estimate(self.sums, (*biases, *self.given), block, cut)
-        return found if found is None or not block.cause else replace(found, known=_NOISE_COUNTS)
+        return _estimate(self.sums, (*biases, *self.given), block, cut)
 
 
 def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]:
@@ -440,19 +403,6 @@ def _blocks(
         elif directions.size:
             blocks.append(_Block(path=path, rows=rows, directions=directions))
     return blocks, np.concatenate(free, axis=1) if free else None
-
-
-def triad_causes(sensitivity: Floats, *, turns: bool) -> dict[str, Floats]:
-    """Return how the elements of a sensitivity (3, 3) move, (9, 3), by what its scales gain; and as the triad turns."""
-    gain = np.einsum("ki,kj->ijk", np.eye(3), sensitivity).reshape(9, 3)
-    turn = (sensitivity @ skew(np.eye(3))).reshape(3, 9).T
-    return {"gain": gain, TURN: turn} if turns else {"gain": gain}
-
-
-def _by_cause(block: _Block, jacobian: Floats, name: str, cause: Floats) -> _Block:
-    """Return the part of a block that moves its scalars as a cause does, (k, q)."""
-    along = np.linalg.lstsq(jacobian[block.rows] @ block.directions, cause, rcond=None)[0]
-    return replace(block, directions=block.directions @ np.linalg.qr(along)[0], cause=name)
 
 
 def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:
@@ -627,8 +577,4 @@ def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Flo
     certain = pooled * (1 - _CERTAIN * np.sqrt(2 / freedom)) - 1 if lasting else 0.0
     halves = len(cluster) / 2 / float(np.median(np.bincount(cluster)))  # clusters in half of the recording
     longer = 1 + max(certain, 0.0) / pooled * max(halves - 1, 0.0)
-    scatter = longer * (share * own + (1 - share) * pooled * np.eye(rank))
-    if found.known and np.trace(scatter) <= rank:
-        scatter = (known * scatter + found.known * np.eye(rank)) / (known + found.known)
-        known += found.known
-    return scatter, known
+    return longer * (share * own + (1 - share) * pooled * np.eye(rank)), known

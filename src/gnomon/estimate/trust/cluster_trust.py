@@ -1,6 +1,6 @@
 """From pulls and information of stretches of time to sigmas that hold, and to what parts of the recording say."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ...results.trust import Clusters, SigmaRatio, Splits, Trust
+from ...results.trust import Clusters, ParameterChange, SigmaRatio, Splits, Trust
 from .changes import parameter_changes
 from .clusters import ClusterSums, Robust, correlation_time, group_into_clusters, robust_variances
 from .parts import Split, part_agreement, part_differences
@@ -66,7 +66,7 @@ def robust_covariance(
     widened: bool = True,
     single: ClusterSums | None = None,
     order: Integers | None = None,
-    causes: Mapping[str, Mapping[str, Floats]] | None = None,
+    sudden: Callable[[], ParameterChange | None] | None = None,
 ) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
@@ -84,7 +84,7 @@ def robust_covariance(
     widened : whether the covariance from clusters is wanted, not that for independent errors
     single, order : sums of single views, and their numbers as they were recorded, by which changes are looked for;
         those of the stretches where not given
-    causes : see `parameter_changes`
+    sudden : see `parameter_changes`
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     block = np.unique(paths, return_inverse=True)[1]
@@ -112,7 +112,7 @@ def robust_covariance(
             ratios=_ratios(found, paths, estimated) if widened else (),
             splits=comparison.splits(estimated, biased, length),
             changes=parameter_changes(
-                single or sums, jacobian, names, biases=biases, judged=estimated, order=order, causes=causes
+                single or sums, jacobian, names, biases=biases, judged=estimated, order=order, sudden=sudden
             ),
         ),
         instabilities=tuple(comparison.instability(path, estimated) for path in biases if (paths == path).any())

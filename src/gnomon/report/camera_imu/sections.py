@@ -13,7 +13,7 @@ from ...results.camera_diagnostics import CameraImuDiagnostics
 from ..camera_parameters import baseline_groups, camera_groups, mounting_text, placed_imu_groups
 from ..drawing.rig import origin_figure, rig_drawing
 from ..estimation import noise_table, steps_table
-from ..imu_parameters import gyroscope_quaternion, imu_groups, other_reading
+from ..imu_parameters import groups_over_temperature, gyroscope_quaternion, imu_groups, other_reading
 from ..numbers import estimate_text, fixed_text, number_text
 from ..page import Code, Figure, Legend, ParameterGroup, ParameterTable, ReportTable, Section
 from ..sections import aligned_matrix
@@ -125,6 +125,7 @@ def imu_section(calibration: Calibration) -> Section:
         caption = gyroscope_quaternion(imu.gyroscope.sensitivity) if imu.gyroscope is not None else ""
         groups = _marked(imu_groups(calibration, name), calibration, name)
         shown += len(groups)
+        groups = (*groups, *groups_over_temperature(calibration, name))
         blocks.append(ParameterTable(title=name if several else "", groups=groups, caption=caption))
         drawing = origin_figure(calibration, name)
         blocks += [] if drawing is None else [drawing]

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ....frozen import value_class
+from ....models.camera import Camera
 from ....recording import Floats, Integers
 from ..solution import Solution
 from ..terms.board_terms import BoardPoints
@@ -24,6 +25,10 @@ _CLUSTER_S = 2.0
 _CELLS = (8, 6)  # of the image, across and down
 _FEWEST_CLUSTERS = 6
 _DRAWS = 5000  # of signs
+_ASKED = 3.0  # sigmas
+_ENOUGH_CORNERS = 20_000  # that tell what a lens lacks
+LAST_TERM = {"radtan": 4, "radtan5": 6}
+"""Power of the radius, beside the radius itself, at which the series of a lens is cut off."""
 
 
 @value_class(eq=True)
@@ -128,6 +133,30 @@ def lens_evidence(every: Sequence[CountingCorners]) -> ResidualPattern:
         np.concatenate(cells),
         np.concatenate([corners.t_s for corners in every]),
     )
+
+
+def missing_term(lens: Camera, corners: CountingCorners) -> Floats:
+    """Return how the parameters (q,) of a lens would move by the term that its series lacks; zeros where by chance.
+
+    The term is as large as the corners' residuals ask for, beside the lens and turns of the camera.
+    """
+    some = slice(None, None, max(len(corners.point) // _ENOUGH_CORNERS, 1))
+    rays, seen = lens.unproject(corners.pixels[some] * lens.resolution)
+    image = lens.project(rays[seen], parameters_jacobian=True)
+    assert image.by_point is not None
+    assert image.by_parameters is not None
+    flat = rays[seen][:, :2] / rays[seen][:, 2:]
+    radius = np.linalg.norm(flat, axis=1, keepdims=True)
+    term = (lens.intrinsics[-4:-2] * flat * radius ** (LAST_TERM[lens.distortion] + 2)).ravel()
+    turned = np.cross(image.by_point, rays[seen][:, None, :])
+    known = np.concatenate([turned, image.by_parameters], axis=2).reshape(len(term), -1)
+    gain = np.linalg.lstsq(known, term, rcond=None)[0]
+    left, residual = term - known @ gain, corners.residual[some][seen].ravel()
+    size = float(left @ residual / (left @ left))
+    cluster = np.repeat((corners.t_s[some][seen] // _CLUSTER_S).astype(np.int64), 2)
+    pulls = np.bincount(cluster - cluster.min(), left * (residual - size * left))
+    asked = abs(size) > _ASKED * float(np.linalg.norm(pulls) / (left @ left))
+    return np.asarray(asked * size * gain[turned.shape[2] :])
 
 
 def _pattern(residual: Floats, label: Integers, t_s: Floats) -> ResidualPattern:

@@ -32,6 +32,7 @@ from ..solution import Solution
 from ..terms.assembly import TRIAD
 from ..trajectory import BIAS, POSE
 from .cluster_sums import bias_sides, board_follows
+from .residual_patterns import LAST_TERM, counting_corners, missing_term
 
 _FEWEST_STRETCHES = 12
 _ASKED = 3.0  # sigmas
@@ -280,6 +281,26 @@ def with_detector_scale(found: Uncertainty, parameters: RigParameters, sigmas: M
             along += found.ordinary[:, free] @ np.linalg.solve(found.ordinary[np.ix_(free, free)], size)
         covariance, ordinary = (matrix + np.outer(along, along) for matrix in (covariance, ordinary))
     return replace(found, covariance=covariance, ordinary=ordinary)
+
+
+def with_next_term(found: Uncertainty, solution: Solution) -> Uncertainty:
+    """Return the uncertainty with that of the radial term that estimated lenses of radtan or radtan5 lack (Schmidt).
+
+    The coefficients of a series that is cut off depend on where in the image the corners were seen, and no clusters of
+    one recording show that. Where corners ask for the term that follows, they are as uncertain as it moves them. What
+    the lens does where the corners are hardly changes, and nothing else does.
+    """
+    column = {name: i for i, name in enumerate(found.names)}
+    free = any(name.endswith(".distortion_coeffs[0]") for name in column)
+    covariance = found.covariance
+    for entry, seen in zip(solution.state.parameters.cameras, counting_corners(solution) if free else (), strict=free):
+        lens = [column.get(f"{entry.name}.{name}") for name in entry.camera.parameter_names]
+        columns = [place for place in lens if place is not None]
+        if entry.camera.distortion in LAST_TERM and len(columns) == len(lens):
+            along = np.zeros(len(covariance))
+            along[columns] = missing_term(entry.camera, seen)
+            covariance = covariance + np.outer(along, along)
+    return replace(found, covariance=covariance)
 
 
 def _asked_focal(held: FixedParameterEffect, entry: CameraParameters) -> float:

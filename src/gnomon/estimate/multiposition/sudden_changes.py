@@ -1,0 +1,246 @@
+"""Whether a triad turned in its housing, or its scales changed, at one instant, told from few rests.
+
+One cause moves three numbers: the angles by which a triad turns, or its three gains. Where a rest r begins, three such
+parameters d join the linearised problem of `model.py` beside all others. With the gyroscope's axes C, rotation k and
+the direction of gravity p that it leads to
+
+    gyroscope turned          C after r becomes (1 + [d]x) C
+    accelerometer turned      the same, and gravity read after the rotation that ends in r becomes (1 + [d]x) p
+    gyroscope's gains         C after r becomes C (1 - diag d)
+    accelerometer's gains     S u after r becomes (1 + diag d) S u
+
+T = d' V^-1 d over the mean square of what is left of the residuals of that kind, of nu degrees of freedom, follows
+3 F(3, nu). Where the mean square is no larger than what the noise at rest explains, that counts as so many degrees of
+freedom more (a prior on the variance, as Smyth, 2004). This is the likelihood-ratio test of a linear model, the most
+powerful that no choice of units changes (Lehmann and Romano, Testing Statistical Hypotheses, 7.3). Over all causes and
+instants the least chance counts, times their number.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+
+from ...frozen import value_class
+from ...geometry.rotation_vector import skew, tangent_basis
+from ...recording import Floats, Integers
+from ...results.result import Booleans
+from ...results.trust import ParameterChange
+from ...solve.arrow import reduced_normal_equations
+from .fit import GATE_SIGMA, MultiPositionFit, sum_of_squares
+from .model import CG_, normal_equations
+from .noise_levels import residual_freedom, rotation_variance
+from .scaling import with_runs
+
+_CHANCE = 0.005  # that a recording in which nothing changed is said to have changed
+_FEWEST = 3  # rotations on either side
+_CAUSES, _MOST_PLACES, _PLACES_COUNT = (
+    4,
+    40,
+    8,
+)  # places that are tried, that count as looks
+_NOISE_COUNTS = 20.0  # degrees of freedom that the noise at rest counts as: variances that it tells to 30 %
+_FEWEST_LEFT = 6.0  # degrees of freedom
+_LARGEST = 0.1  # standard deviation of a change beforehand [rad, 1]
+
+
+@value_class
+class _Cause:
+    """What may have happened, at each of k rests: derivatives of the residuals by the change.
+
+    `at_rest` (k, n, 3, 3) of the accelerometer, `rotation` (k, n - 1, 2, 3); `by_change` (9, 3) of the sensitivity.
+    """
+
+    triad: str
+    jumps: bool
+    at_rest: Floats
+    rotation: Floats
+    by_change: Floats
+
+    @property
+    def block(self) -> str:
+        """Path of what changed."""
+        return f"imu0.{self.triad}.sensitivity"
+
+
+@value_class
+class _Change:
+    """A change (3,) at rest `place`, its covariance, and how often chance makes one as large, in one look."""
+
+    cause: _Cause
+    place: int
+    size: Floats
+    covariance: Floats
+    chance: float
+
+
+def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -> ParameterChange | None:
+    """Return the change that chance explains least, where it hardly does.
+
+    Parameters
+    ----------
+    fit : of the whole recording
+    sensitivities : (3, 3) published ones of accelerometer and gyroscope
+    """
+    first, last = _FEWEST + 1, len(fit.state.u) - 1 - _FEWEST
+    if last < first:
+        return None
+    places = np.unique(np.linspace(first, last, min(last - first + 1, _MOST_PLACES)).round().astype(int))
+    causes = _causes(fit, places, sensitivities)
+    found = min((one for cause in causes for one in _tried(fit, cause, places)), key=lambda one: one.chance)
+    chance = found.chance * _CAUSES * min(len(places), _PLACES_COUNT)
+    if chance > _CHANCE:
+        return None
+    at_s, by_change, block = float(fit.data.rotation_s[found.place - 1]), found.cause.by_change, found.cause.block
+    return ParameterChange(
+        block=block,
+        names=tuple(f"{block}[{i},{j}]" for i in range(3) for j in range(3)),
+        values=by_change @ found.size,
+        covariance=by_change @ found.covariance @ by_change.T,
+        where=f"after {at_s:.4g} s, against the time before",
+        at_s=at_s,
+        chance=chance,
+    )
+
+
+def least_turn_seen(fit: MultiPositionFit) -> float:
+    """Return by how much a triad has to turn in the middle of a recording to be named whichever way it turns [rad]."""
+    middle = np.array([len(fit.state.u) // 2])
+    turned = next(_causes(fit, middle, (np.eye(3), np.eye(3))))
+    problem = _Problem.of(fit, with_runs(fit), turned)
+    if problem.freedom < _FEWEST_LEFT:
+        return float("inf")
+    largest = _exceeded_by(_CHANCE / (_CAUSES * _PLACES_COUNT), problem.freedom + _NOISE_COUNTS)
+    return float(np.sqrt(3 * largest * np.linalg.eigvalsh(problem.change_at(0, int(middle[0])).covariance)[-1]))
+
+
+def triad_causes(sensitivity: Floats) -> tuple[Floats, Floats]:
+    """Return how elements of a sensitivity (3, 3) move, (9, 3) each, as the triad turns, and as its scales grow."""
+    turn = (sensitivity @ skew(np.eye(3))).reshape(3, 9).T
+    return turn, np.einsum("ki,kj->ijk", np.eye(3), sensitivity).reshape(9, 3)
+
+
+def _causes(fit: MultiPositionFit, places: Integers, sensitivities: tuple[Floats, Floats]) -> Iterator[_Cause]:
+    lines, (s, _, c_g, _, _) = fit.lines, fit.state.matrices
+    k, n = len(places), len(fit.state.u)
+    after = np.arange(n) >= places[:, None]
+    turn, gain = triad_causes(sensitivities[1])
+    none, by_c = np.zeros((k, n, 3, 3)), lines.rotation_theta[..., CG_]
+    turned = after[:, :-1, None, None] * (by_c @ np.moveaxis(skew(np.eye(3)) @ c_g, 0, -1).reshape(9, 3))
+    yield _Cause(triad="gyroscope", jumps=False, at_rest=none, rotation=turned, by_change=-turn)
+    jump = np.swapaxes(tangent_basis(fit.state.u[1:]), 1, 2) @ skew(lines.propagated)
+    ends = np.arange(n - 1) == places[:, None] - 1
+    turned = turned + ends[:, :, None, None] * jump
+    yield _Cause(triad="gyroscope", jumps=True, at_rest=none, rotation=turned, by_change=-turn)
+    gained = after[:, :-1, None, None] * (by_c @ -np.einsum("ij,jk->ijk", c_g, np.eye(3)).reshape(9, 3))
+    yield _Cause(triad="gyroscope", jumps=False, at_rest=none, rotation=gained, by_change=gain)
+    gained = after[:, :, None, None] * ((fit.state.u @ -s.T)[:, :, None] * np.eye(3))
+    still = np.zeros((k, n - 1, 2, 3))
+    gain = triad_causes(sensitivities[0])[1]
+    yield _Cause(triad="accelerometer", jumps=False, at_rest=gained, rotation=still, by_change=gain)
+
+
+def _tried(fit: MultiPositionFit, cause: _Cause, places: Integers) -> Iterator[_Change]:
+    """Yield a cause's change at each rest.
+
+    A rotation that was left out as an outlier may be the one in which the accelerometer turned: left out, it costs as
+    much as the largest residual that is none.
+    """
+    kept = with_runs(fit)
+    without = _Problem.of(fit, kept, cause)
+    for k, place in enumerate(places.tolist()):
+        if cause.jumps and fit.data.linked[place - 1] and not kept[place - 1]:
+            beside = _Problem.of(fit, kept | (np.arange(len(kept)) == place - 1), cause)
+            yield beside.change_at(k, place, GATE_SIGMA**2 + without.cost - beside.cost)
+        else:
+            yield without.change_at(k, place)
+
+
+@value_class
+class _Problem:
+    """The linearised problem with changes of one cause, the directions eliminated.
+
+    `cost` is the sum of squares at the minimum without a change; of the residuals of the cause's kind, `left` is their
+    share of it, of `freedom`, and `known` what the noise at rest explains of their variance.
+    """
+
+    cause: _Cause
+    cost: float
+    left: float
+    freedom: float
+    known: float
+    score: Floats
+    information: Floats
+
+    @classmethod
+    def of(cls, fit: MultiPositionFit, kept: Booleans, cause: _Cause) -> "_Problem":
+        lines, p, new = fit.lines, len(fit.free), 3 * len(cause.rotation)
+        noise = rotation_variance(fit.data, fit.state)
+        whitening = replace(fit.whitening, rotation=kept / np.sqrt(noise + fit.extra.rotation))
+        prior = np.pad(whitening.prior, (0, new))
+        prior[p:, p:] = np.eye(new) / _LARGEST**2
+        zero, columns = np.zeros((len(cause.at_rest[0]), 3, new)), (cause.at_rest, cause.rotation)
+        at_rest, rotation = (np.moveaxis(one, 0, -2).reshape(*one.shape[1:3], new) for one in columns)
+        beside = replace(
+            lines,
+            accelerometer_theta=np.concatenate([lines.accelerometer_theta, at_rest], axis=2),
+            gyroscope_theta=np.concatenate([lines.gyroscope_theta, zero], axis=2),
+            rotation_theta=np.concatenate([lines.rotation_theta, rotation], axis=2),
+        )
+        free = np.concatenate([fit.free, np.ones(new, dtype=bool)])
+        system = normal_equations(beside, replace(whitening, prior=prior), np.pad(fit.from_prior, (0, new)), free)
+        matrix, right, lowered = reduced_normal_equations(system)
+        of_change, q = np.arange(new).reshape(-1, 3) + int(fit.free.sum()), int(fit.free.sum())
+        solved = np.linalg.solve(matrix[:q, :q], np.column_stack([right[:q], matrix[:q, q:]]))
+        gained = lowered + float(right[:q] @ solved[:, 0])
+        by_change, across = np.moveaxis(solved[:, 1:].reshape(q, -1, 3), 1, 0), matrix[:q, q:].reshape(q, -1, 3)
+        own = matrix[of_change[:, :, None], of_change[:, None, :]] - np.einsum("qki,kqj->kij", across, by_change)
+        rests, _, rotations = residual_freedom(lines, fit.arrow, whitening, fit.free)
+        if cause.triad == "gyroscope":
+            left, freedom = whitening.rotation[:, None] * lines.rotation, float(rotations[kept].sum())
+            known = float(np.mean(noise[kept] * whitening.rotation[kept] ** 2))
+        else:
+            left = np.einsum("kij,kj->ki", whitening.accelerometer, lines.accelerometer)
+            freedom = float(rests[fit.interval_used].sum())
+            own_noise = whitening.accelerometer**2 @ fit.data.accelerometer_variance[:, :, None]
+            known = float(np.mean(own_noise[fit.interval_used]))
+        return cls(
+            cause=cause,
+            cost=sum_of_squares(lines, whitening, fit.from_prior) - gained,
+            left=float(np.sum(left**2)) - gained,
+            freedom=freedom - 3,
+            known=known,
+            score=right[of_change] - np.einsum("qki,q->ki", across, solved[:, 0]),
+            information=own,
+        )
+
+    def change_at(self, k: int, place: int, allowed: float = 0.0) -> _Change:
+        """Return the change at the k-th of the rests; `allowed` is by how much the cost was lower without it."""
+        size = np.linalg.solve(self.information[k], self.score[k])
+        t2 = float(size @ self.score[k])
+        left, freedom = max(self.left - t2, 0.0), self.freedom
+        if left < freedom * self.known:
+            left, freedom = left + _NOISE_COUNTS * self.known, freedom + _NOISE_COUNTS
+        mean = left / max(freedom, 1.0)
+        chance = 1.0 if self.freedom < _FEWEST_LEFT else _chance(max(t2 + allowed, 0.0) / (3 * mean), freedom)
+        covariance = mean * np.linalg.inv(self.information[k])
+        return _Change(cause=self.cause, place=place, size=size, covariance=covariance, chance=chance)
+
+
+_OF_THREE = 2 / 27
+
+
+def _chance(f: float, freedom: float) -> float:
+    """Return how often F(3, freedom) exceeds a value (Paulson, 1942); in far tails it errs towards often."""
+    root, of_left = np.cbrt(f), 2 / (9 * freedom)
+    return NormalDist().cdf(-((1 - of_left) * root - 1 + _OF_THREE) / np.sqrt(of_left * root**2 + _OF_THREE))
+
+
+def _exceeded_by(chance: float, freedom: float) -> float:
+    """Return the value that F(3, freedom) exceeds so often, see `_chance`."""
+    of_left, z2 = 2 / (9 * freedom), NormalDist().inv_cdf(chance) ** 2
+    square, both, alone = (1 - of_left) ** 2 - z2 * of_left, (1 - of_left) * (1 - _OF_THREE), (1 - _OF_THREE) ** 2
+    return (
+        float(((both + np.sqrt(both**2 - square * (alone - z2 * _OF_THREE))) / square) ** 3) if square > 0 else np.inf
+    )
