@@ -24,11 +24,6 @@ from ..recording import Recording, shared_sources
 from ..recording.thermometer import known_readings
 from ..results.calibration import Calibration, Covariance
 from ..results.result import Result
-from .camera_imu import calibrate_camera_imu
-from .cameras import calibrate_cameras
-from .imu import calibrate_imu
-from .magnetometer import calibrate_magnetometer
-from .several_recordings import at_reference
 
 _WIDE = {"sensitivity": 0.05, "g_sensitivity": 3e-3}
 """Sigmas of the prior that lets a short recording be estimated, whose share is taken out again: relative to the scale;
@@ -153,12 +148,21 @@ def _estimated(
         }
         recording = replace(recording, cameras=cameras)
         if recording.imus:
+            from .camera_imu import calibrate_camera_imu  # each loaded where a recording asks for it
+
             return calibrate_camera_imu(recording, target, CameraImuOptions(compare=False), progress).calibration, None
+        from .cameras import calibrate_cameras
+
         options = CameraOptions(model=tuple(f"{name}={lenses[name].model}" for name in cameras if name in lenses))
         return calibrate_cameras(recording, target, options, progress).calibration, None
     imu = next(iter(frozen.imus.values()))
     if imu.magnetometer is not None and imu.gyroscope is None:
+        from .magnetometer import calibrate_magnetometer
+
         return calibrate_magnetometer(recording, progress=progress).calibration, None
+    from .imu import calibrate_imu
+    from .several_recordings import at_reference
+
     wide = _wide(known) if isinstance(known, Calibration) and known.uncertainty.matrix.any() else None
     return at_reference(calibrate_imu(recording, progress=progress, prior=wide).calibration), wide
 

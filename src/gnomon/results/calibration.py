@@ -206,6 +206,10 @@ class Assessment:
     trust: UncertaintySummary = field(default_factory=UncertaintySummary)
 
 
+TRUTH_METHOD = "simulation"
+"""By which a calibration is known to be the truth."""
+
+
 @value_class
 class Provenance:
     """Where a calibration comes from; holds no clock time, so that a second run gives the same bytes.

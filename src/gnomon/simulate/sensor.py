@@ -20,6 +20,7 @@ from .._version import __version__
 from ..frozen import value_class
 from ..recording import Floats
 from ..results.calibration import (
+    TRUTH_METHOD,
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -188,9 +189,6 @@ def drawn_imu(scenario: Scenario, rng: np.random.Generator, recorded: RecordedSe
 def _inverse(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
-
-TRUTH_METHOD = "simulation"
-"""By which a calibration is known to be the truth."""
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

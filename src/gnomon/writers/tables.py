@@ -13,9 +13,15 @@ from ..formats.shared import entries
 from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries
 from ..frozen import value_class
 from ..models.frames import Floats, frame_rotation
-from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, calibration_parameters
+from ..results.calibration import (
+    TRUTH_METHOD,
+    Calibration,
+    CameraImuFit,
+    CamerasFit,
+    ImuCalibration,
+    calibration_parameters,
+)
 from ..results.parameters import element_units
-from ..simulate.sensor import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 

@@ -15,12 +15,13 @@ l / (1 - l).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import floor, log10
+from math import exp, floor, lgamma, log, log10, pi, sqrt
 from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 
+from ...estimate.trust.changes import chi_square_tail
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, FIELD_UT, TURN_ON, Use
@@ -41,6 +42,7 @@ _CHANCE = 0.01
 """Share of calibrations that hold and are said to have moved."""
 _MATTERS = 0.25  # of what is needed; less is told, and the block holds
 _SEEN = 3.0  # sigmas from which on a change of one block is likely to be seen
+_UNDERFLOWS = 500.0  # less than exp(-500) is told by what probabilities of chi^2 are asymptotically
 _UNTOLD = 1e-4  # share of a direction that the recording tells, of what the wide prior does
 
 _HEADLINES: Mapping[State, str] = {
@@ -94,9 +96,13 @@ class VerifiedBlock:
     @property
     def z(self) -> float:
         """How many standard deviations of a single number are as improbable."""
-        from scipy.special import ndtri_exp  # pyright: ignore[reportMissingTypeStubs]
-
-        return max(0.0, -float(ndtri_exp(self.log_probability - np.log(2))))
+        log_p = self.log_probability - log(2)
+        if log_p > -_UNDERFLOWS:
+            return max(0.0, -NormalDist().inv_cdf(exp(log_p)))
+        z = sqrt(-2 * log_p)
+        for _ in range(5):  # Abramowitz and Stegun 26.2.12
+            z = sqrt(-2 * (log_p + 0.5 * log(2 * pi) + log(z) + 1 / z**2))
+        return z
 
 
 @value_class
@@ -307,12 +313,10 @@ def _certain(movement: _Movement) -> dict[str, float]:
 
 def _log_tail(value: float, freedom: int) -> float:
     """Return the logarithm of the probability of a larger value of chi^2, also of what underflows."""
-    from scipy.special import gammaincc, gammaln  # pyright: ignore[reportMissingTypeStubs]
-
     half, x = freedom / 2, max(value, 0.0) / 2
-    if x < 500:
-        return float(np.log(gammaincc(half, x)))
-    return float((half - 1) * np.log(x) - x - gammaln(half))  # Abramowitz and Stegun 6.5.32
+    if x < _UNDERFLOWS:
+        return log(chi_square_tail(2 * x, freedom))
+    return (half - 1) * log(x) - x - lgamma(half)  # Abramowitz and Stegun 6.5.32
 
 
 def _of_block(path: str, movement: _Movement, certain: Mapping[str, float]) -> tuple[Floats, Floats, float]:

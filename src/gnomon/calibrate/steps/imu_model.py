@@ -17,6 +17,7 @@ from ...estimate.multiposition.scaling import (
     sensor_scalars,
 )
 from ...estimate.multiposition.steps import as_table, imu_models
+from ...estimate.trust.changes import estimates_are_judged
 from ...estimate.trust.clusters import correlation_time, group_into_clusters
 from ...frozen import value_class
 from ...options import ImuOptions
@@ -140,12 +141,13 @@ def choose_model(
     if known.knows(_G_PATH) or _G_PATH in options.free:
         stated = stated is not False
     fit = fitted(g_sensitivity=True)
-    steps = _steps(problem, fit, units, gravity_m_s2, stated)
+    judged = stated is None or estimates_are_judged()
+    steps = _steps(problem, fit, units, gravity_m_s2, stated) if judged else ()
     rivals = {
         "basic": leave_one_out(fit, g_sensitivity=False),
         "g-sensitivity": leave_one_out(fit),
     }
-    taken = "g-sensitivity" if next(step.used for step in steps if step.name == "g-sensitivity") else "basic"
+    taken = "g-sensitivity" if stated or any(step.used for step in steps if step.name == "g-sensitivity") else "basic"
     if taken == "basic":
         fit = fitted(g_sensitivity=False, before=fit)
         rivals["basic"] = leave_one_out(fit)

@@ -84,12 +84,13 @@ class Verify(Command, TableOptions):
     def _read(
         self, known: "Calibration | ForeignCalibration", paths: list[Path], terminal: Terminal
     ) -> "tuple[Recording, Target | None]":
-        from ...calibrate import read_camera_imu, read_camera_views
-        from ...readers.recordings import read
-
         lenses = {**known.cameras, **getattr(known, "lenses", {})}
         if not lenses:
+            from ...readers.recordings import read
+
             return read(self.recording, **self.table), None
+        from ...calibrate import read_camera_imu, read_camera_views
+
         stated, _ = files_beside(self.recording, {"cam": self.cam, "imu": self.imu, "target": self.target})
         if stated["target"] is None:
             raise OptionError("to verify cameras, name the board that they saw: --target target.yaml.")

@@ -20,6 +20,7 @@ from .blocks import Stage
 
 _SAMPLE = 400  # in which the start is sought
 _STEPS = 30
+_AS_PREDICTED = 2.0  # spread [sigma] of a start beside which no other one is tried: no other rotation explains as much
 _TUNING = 4.685  # Tukey's biweight in units of the spread
 _MAD = 1.4826
 
@@ -75,10 +76,10 @@ def fit_dip(
     """
     some = np.flatnonzero(used)
     some = some[:: max(1, len(some) // _SAMPLE)]
-    starts = [np.eye(3)]
-    if turn:
-        starts = [*_linear(up[some], field[some], sigma[some]), *_axes()]
-    found = [_minimum(up[some], field[some], sigma[some], start, turn=turn) for start in starts]
+    start = _linear(up[some], field[some], sigma[some]) if turn else np.eye(3)
+    found = [_minimum(up[some], field[some], sigma[some], start, turn=turn)]
+    if turn and found[0][2] > _AS_PREDICTED:
+        found += [_minimum(up[some], field[some], sigma[some], start, turn=True) for start in _axes()]
     rotation, _, _ = min(found, key=lambda one: one[2])
     rotation, sine, _ = _minimum(up[used], field[used], sigma[used], rotation, turn=turn)
     error, jacobian = _rows(up, field, sigma, rotation, sine)
@@ -151,11 +152,11 @@ def _slope(size: Floats) -> Floats:
     return np.where(ratio < 1, (1 - ratio) * (1 - 5 * ratio), 0.0)
 
 
-def _linear(up: Floats, field: Floats, sigma: Floats) -> list[Floats]:
+def _linear(up: Floats, field: Floats, sigma: Floats) -> Floats:
     """Return the rotation nearest to the matrix of least squares, u' A m = constant."""
     rows = np.column_stack([np.einsum("ni,nj->nij", up, field).reshape(-1, 9), -np.ones(len(up))]) / sigma[:, None]
     a = np.linalg.svd(rows, full_matrices=False)[2][-1][:9].reshape(3, 3)
-    return [nearest_rotation(a * np.sign(np.linalg.det(a) or 1.0))]
+    return nearest_rotation(a * np.sign(np.linalg.det(a) or 1.0))
 
 
 def _axes() -> list[Floats]:

@@ -501,7 +501,7 @@ def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
     """Return how often chance alone makes a change as large; a lower bound where it cannot be less than `least`."""
     if found is None:
         return 1.0
-    if least and _chi_square_tail(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
+    if least and chi_square_tail(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
         return 1.0
     *shorter, longest = _clusters(n)
     largest = _chance_with(found, longest, least, lasting=True)
@@ -527,7 +527,7 @@ def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: 
         return 1.0
     t2 = float(found.w @ np.linalg.solve(scatter, found.w))
     rank = len(found.w)
-    of_many = _chi_square_tail(t2, rank)
+    of_many = chi_square_tail(t2, rank)
     if of_many > least > 0:
         return of_many
     from scipy.special import fdtrc  # loaded where something may have changed  # pyright: ignore[reportMissingTypeStubs]
@@ -535,7 +535,7 @@ def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: 
     return float(fdtrc(rank, max(freedom, 1.0), t2 / rank))
 
 
-def _chi_square_tail(x: float, freedom: int) -> float:
+def chi_square_tail(x: float, freedom: int) -> float:
     """Return how often a chi-square of so many degrees of freedom exceeds x (Abramowitz and Stegun, 26.4.4, 26.4.5)."""
     half = x / 2
     tail, odd = (math.erfc(math.sqrt(half)), 1) if freedom % 2 else (math.exp(-half), 0)
