@@ -74,7 +74,8 @@ def chart_summary(line: LineAssessment, name: str) -> ChartSummary:
     """Return the chart of a scalar."""
     k, table = line.table.names.index(name), line.table
     known = line.populations[k]
-    serials = [table.entries[row].serial for row in line.first if np.isfinite(table.values[row, k])]
+    rows = np.array(line.first, dtype=int)
+    serials = [table.entries[row].serial for row in rows[np.isfinite(table.values[rows, k])].tolist()]
     individuals, average = control_charts(table, line.first, k, known)
     return ChartSummary(
         name=name,

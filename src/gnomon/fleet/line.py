@@ -91,20 +91,19 @@ def assess_line(table: LineTable) -> LineAssessment:
     found += _other_gravity(table, values)
     found += _wrong_units(table, values)
     corrected = replace(table, values=values)
-    pairs = _repeats(table.entries)
-    stations = _station_offsets(corrected, first, pairs)
+    devices, pairs = _Devices(corrected, first), _repeats(table.entries)
+    stations = _station_offsets(devices, pairs)
     found += [_station_finding(table, k, offset) for k, offset in stations]
-    changes = _changes_in_time(corrected, first)
+    changes = _changes_in_time(devices)
     found += [_time_finding(table, first, k, change) for k, change in changes]
-    limit = normal_limit(CHANCE / max(values.size, 1))
-    populations = tuple(_population(corrected, first, k, limit) for k in range(len(table.names)))
+    populations = tuple(devices.population(k) for k in range(len(table.names)))
     z = np.stack([_z(corrected, k, one) for k, one in enumerate(populations)], axis=1) if populations else values
     size = np.nan_to_num(np.abs(z))
     worst_scalar = size.argmax(axis=1) if size.size else np.zeros(len(serials), dtype=int)
     worst = size.max(axis=1, initial=0.0)
     reproducibility, repeats, moved = _changed_devices(corrected, pairs)
     found += moved
-    found += _outliers(table, z, limit, first)
+    found += _outliers(table, z, devices.limit, first)
     return LineAssessment(
         table=table,
         first=tuple(first.tolist()),
@@ -200,28 +199,47 @@ def _wrong_units(table: LineTable, values: Floats) -> Iterator[Finding]:
 # ---- stations and time ----
 
 
-def _weighted(table: LineTable, rows: Integers, k: int) -> tuple[Floats, Floats]:
-    """Return values, drawn in to the limits of the population, and their variances about its mean, of one scalar."""
-    y, s = table.values[rows, k], table.sigmas[rows, k]
-    limit = normal_limit(CHANCE / max(len(rows), 1))
-    known = robust_population(y, s, limit)
-    variances = known.spread**2 + s**2
-    reach = limit * np.sqrt(variances)
-    return np.clip(y, known.mean - reach, known.mean + reach), variances
+class _Devices:
+    """The first results of all devices, rows of a table; their populations are found again where values changed."""
+
+    def __init__(self, table: LineTable, rows: Integers) -> None:
+        self.table, self.rows = table, rows
+        self.limit = normal_limit(CHANCE / max(table.values.size, 1))
+        self._known: dict[int, Population] = {}
+
+    def population(self, k: int) -> Population:
+        if k not in self._known:
+            self._known[k] = robust_population(
+                self.table.values[self.rows, k], self.table.sigmas[self.rows, k], self.limit
+            )
+        return self._known[k]
+
+    def weighted(self, k: int) -> tuple[Floats, Floats]:
+        """Return values of a scalar, drawn in to the limits of the population, and their variances about its mean."""
+        known = self.population(k)
+        variances = known.spread**2 + self.table.sigmas[self.rows, k] ** 2
+        reach = normal_limit(CHANCE / max(len(self.rows), 1)) * np.sqrt(variances)
+        return np.clip(self.table.values[self.rows, k], known.mean - reach, known.mean + reach), variances
+
+    def take_off(self, rows: Sequence[int] | slice, k: int, offset: float | Floats) -> None:
+        self.table.values[rows, k] -= offset
+        self._known.pop(k, None)
 
 
-def _station_offsets(table: LineTable, first: Integers, pairs: Integers) -> list[tuple[int, GroupOffset]]:
+def _station_offsets(devices: _Devices, pairs: Integers) -> list[tuple[int, GroupOffset]]:
     """Return stations that are off, the most certain first, and take their offsets off the values."""
+    table, first = devices.table, devices.rows
     stations = [entry.station for entry in table.entries]
-    names = list(dict.fromkeys(stations))
+    number = {name: index for index, name in enumerate(dict.fromkeys(stations))}
+    names = list(number)
     limit = normal_limit(CHANCE / max(len(table.names) * len(names), 1))
     found: list[tuple[int, GroupOffset]] = []
     labels = np.array(stations)
-    of_first = np.array([names.index(stations[row]) for row in first.tolist()])
+    of_first = np.array([number[name] for name in stations])[first]
     for _ in names[1:]:
         offsets: dict[str, dict[int, GroupOffset]] = {}
         for k in range(len(table.names)):
-            y, variances = _weighted(table, first, k)
+            y, variances = devices.weighted(k)
             for offset in group_offsets(y, variances, of_first, names):
                 if offset.count >= _FEWEST:
                     offsets.setdefault(offset.group, {})[k] = offset
@@ -236,7 +254,7 @@ def _station_offsets(table: LineTable, first: Integers, pairs: Integers) -> list
         own = [row for row, station in enumerate(stations) if station == worst.group]
         for column, offset in offsets[worst.group].items():
             if abs(offset.z) > limit:
-                table.values[own, column] -= offset.offset
+                devices.take_off(own, column, offset.offset)
     return found
 
 
@@ -277,23 +295,24 @@ def _repeats(entries: Sequence[LibraryEntry]) -> Integers:
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def _changes_in_time(table: LineTable, rows: Integers) -> list[tuple[int, TimeChange]]:
+def _changes_in_time(devices: _Devices) -> list[tuple[int, TimeChange]]:
     """Return steps and drifts of the line, the most certain first, and take them off the values."""
-    days = days_of([table.entries[row] for row in rows.tolist()])
+    table, rows = devices.table, devices.rows
     every_day = days_of(table.entries)
+    days = every_day[rows]
     limit = normal_limit(CHANCE / max(2 * len(table.names) * len(rows), 1))
     found: list[tuple[int, TimeChange]] = []
     for _ in range(3):
         changes: list[tuple[int, TimeChange]] = []
         for k in range(len(table.names)):
-            changes += [(k, one) for one in time_changes(*_weighted(table, rows, k), days)]
+            changes += [(k, one) for one in time_changes(*devices.weighted(k), days)]
         k, worst = max(changes, key=lambda item: abs(item[1].z), default=(0, None))
         if worst is None or abs(worst.z) < limit:
             break
         found.append((k, worst))
         for column, change in changes:
             if change.kind == worst.kind and abs(change.z) > limit:
-                table.values[:, column] -= _course(change, rows, every_day)
+                devices.take_off(slice(None), column, _course(change, rows, every_day))
     return found
 
 
@@ -303,10 +322,6 @@ def _course(change: TimeChange, rows: Integers, days: Floats) -> Floats:
         return np.where(np.arange(len(days)) >= rows[change.at], change.size, 0.0)
     span = days[rows].max() - days[rows].min()
     return change.size * (days - days[rows].min()) / span
-
-
-def _population(table: LineTable, rows: Integers, k: int, limit: float) -> Population:
-    return robust_population(table.values[rows, k], table.sigmas[rows, k], limit)
 
 
 def _z(table: LineTable, k: int, known: Population) -> Floats:

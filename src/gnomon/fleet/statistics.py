@@ -49,22 +49,29 @@ def random_effects(values: Floats, sigmas: Floats) -> Population:
 
     With w = 1 / s^2: Q = sum w (y - y_w)^2, C = sum w - sum w^2 / sum w, tau^2 = max(0, (Q - (n - 1)) / C).
     """
-    w = 1 / sigmas**2
-    fixed = float(w @ values / w.sum())
-    q = float(w @ (values - fixed) ** 2)
-    c = float(w.sum() - (w**2).sum() / w.sum())
-    tau2 = max(0.0, (q - (len(values) - 1)) / c) if c > 0 else 0.0
-    total = 1 / (tau2 + sigmas**2)
-    mean = float(total @ values / total.sum())
+    mean, mean_sigma, tau2, q = _moments(values, sigmas**2)
     return Population(
         mean=mean,
-        mean_sigma=float(total.sum() ** -0.5),
+        mean_sigma=mean_sigma,
         spread=sqrt(tau2),
         heterogeneity=q,
         count=len(values),
-        z=(values - mean) * np.sqrt(total),
+        z=(values - mean) / np.sqrt(tau2 + sigmas**2),
         kept=np.ones(len(values), dtype=bool),
     )
+
+
+def _moments(values: Floats, variances: Floats) -> tuple[float, float, float, float]:
+    """Return mean, its sigma, tau^2 and Q of `random_effects`."""
+    w = 1 / variances
+    whole = float(w.sum())
+    off = values - float(w @ values) / whole
+    q, c = float((w * off) @ off), whole - float(w @ w) / whole
+    tau2 = max(0.0, (q - (len(values) - 1)) / c) if c > 0 else 0.0
+    if tau2:
+        w = 1 / (tau2 + variances)
+        whole = float(w.sum())
+    return float(w @ values) / whole, whole**-0.5, tau2, q
 
 
 def robust_population(values: Floats, sigmas: Floats, limit: float) -> Population:
@@ -76,29 +83,30 @@ def robust_population(values: Floats, sigmas: Floats, limit: float) -> Populatio
     z = np.full(len(values), np.nan)
     if not known.any():
         return Population(mean=np.nan, mean_sigma=np.nan, spread=np.nan, heterogeneity=np.nan, count=0, z=z, kept=known)
-    y, s = values[known], sigmas[known]
+    y, variances = values[known], sigmas[known] ** 2
     centre = float(np.median(y))
-    spread2 = max((_MAD * float(np.median(np.abs(y - centre)))) ** 2 - float(np.median(s**2)), 0.0)
-    inside = np.abs(y - centre) <= limit * np.sqrt(spread2 + s**2)
-    found = None
-    for _ in range(_ROUNDS):
+    spread2 = max((_MAD * float(np.median(np.abs(y - centre)))) ** 2 - float(np.median(variances)), 0.0)
+    inside = (y - centre) ** 2 <= limit**2 * (spread2 + variances)
+    rounds = _ROUNDS
+    while True:
         if not inside.any():
             inside[:] = True
-        found = random_effects(y[inside], s[inside])
-        again = np.abs(y - found.mean) <= limit * np.sqrt(found.spread**2 + s**2)
-        if (again == inside).all():
+        whole = bool(inside.all())
+        centre, mean_sigma, spread2, q = _moments(*((y, variances) if whole else (y[inside], variances[inside])))
+        used, off, width = inside, y - centre, spread2 + variances
+        inside = off**2 <= limit**2 * width
+        rounds -= 1
+        if not rounds or (inside == used).all():
             break
-        inside = again
-    assert found is not None
-    z[known] = (y - found.mean) / np.sqrt(found.spread**2 + s**2)
+    z[known] = off / np.sqrt(width)
     kept = known.copy()
-    kept[known] = inside
+    kept[known] = used
     return Population(
-        mean=found.mean,
-        mean_sigma=found.mean_sigma,
-        spread=found.spread,
-        heterogeneity=found.heterogeneity,
-        count=found.count,
+        mean=centre,
+        mean_sigma=mean_sigma,
+        spread=sqrt(spread2),
+        heterogeneity=q,
+        count=int(np.count_nonzero(used)),
         z=z,
         kept=kept,
     )

@@ -26,13 +26,15 @@ def test_help_needs_no_numbers(arguments, needed):
     assert loaded_after(f"from gnomon.cli import main\nassert main({arguments!r}) == 0") == needed
 
 
-def test_calibrating_and_converting_need_neither_scipy_nor_matplotlib(tmp_path):
+def test_calibrating_verifying_and_converting_need_neither_scipy_nor_matplotlib(tmp_path):
     loaded = loaded_after(
         "import gnomon\n"
         "from gnomon.cli import main\n"
         f"assert main(['simulate', '-o', {str(tmp_path / 'r.npz')!r}, '--intervals', '20']) == 0\n"
         f"assert main(['imu', {str(tmp_path / 'r.npz')!r}, '-o', {str(tmp_path / 'out')!r}, '--no-report']) == 0\n"
-        f"result = {str(tmp_path / 'out' / 'calibration.yaml')!r}\n"
+        f"result, fresh = {str(tmp_path / 'out' / 'calibration.yaml')!r}, {str(tmp_path / 'fresh.npz')!r}\n"
+        "assert main(['simulate', '-o', fresh, '--intervals', '12', '--seed', '1', '--sensor-seed', '0']) == 0\n"
+        "assert main(['verify', result, fresh, '--no-report']) in (0, 4)\n"
         f"assert main(['convert', result, '--to', 'px4', '-o', {str(tmp_path / 'imu.params')!r}]) == 0"
     )
     assert "numpy" in loaded
