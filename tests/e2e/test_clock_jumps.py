@@ -20,12 +20,14 @@ FLOOR_BYTES, PER_BYTE = 128 << 20, 60
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
-    """A recording with rests, and one of a magnetometer, whose clock jumps by nothing."""
+def recordings(run, tmp_path_factory):
+    """A recording with rests, one of a magnetometer and one on a turntable, whose clock jumps by nothing."""
     folder = tmp_path_factory.mktemp("jumps")
     scenario = gnomon.Scenario(intervals=14, t_init_s=20.0, hold_s=(3.0, 3.5), rate_hz=50.0)
     save_recording(gnomon.simulate(scenario, seed=1)[0], folder / "imu.npz")
     save_recording(gnomon.simulate_magnetometer(FieldScenario(duration_s=60.0), seed=1)[0], folder / "field.npz")
+    assert run("simulate", "turntable", "--rpm", 16, "--steady-s", 5, "-o", folder / "turns")[0] == 0
+    (folder / "turns" / "recording.npz").rename(folder / "turns.npz")
     return folder
 
 
@@ -47,19 +49,21 @@ def with_jump(path, to, jump_s):
         ("noise", "imu", "-o", "out", "--no-report"),
         ("apply", "imu", "-o", "out.csv"),
         ("magnetometer", "field", "-o", "out", "--no-report"),
+        ("turntable", "turns", "--rate", "16rpm", "-o", "out", "--no-report"),
+        ("verify", "imu", "-o", "out"),
     ],
     ids=lambda words: words[0],
 )
 def test_memory_follows_the_samples(words, run, recordings, tmp_path):
     name, kind, *rest = words
     rest = [tmp_path / word if word.startswith("out") else word for word in rest]
-    if name == "apply":
+    if name in {"apply", "verify"}:
         truth = gnomon.simulate(gnomon.Scenario(intervals=14, rate_hz=50.0), seed=1)[1]
         gnomon.save(truth, tmp_path / "cal.yaml")
     resource = pytest.importorskip("resource")
     for jump_s in JUMPS_S if name in {"check", "noise", "apply"} else JUMPS_S[3:6:2]:  # the others take a second each
         path = with_jump(recordings / f"{kind}.npz", tmp_path / "jump.npz", jump_s)
-        command = (name, *([tmp_path / "cal.yaml"] if name == "apply" else []), path, *rest)
+        command = (name, *([tmp_path / "cal.yaml"] if name in {"apply", "verify"} else []), path, *rest)
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         code, _, err = run(*command)
         most = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * (1 if sys.platform == "darwin" else 1024)

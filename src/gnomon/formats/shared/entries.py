@@ -127,17 +127,17 @@ def _px4_threshold(calibration: Calibration) -> Iterator[Loss]:
         for triad, (found, unit) in triads.items():
             if found is None:
                 continue
-            vectors = {"offsets": (found.offset, unit)}
+            vectors = {"offsets": (found.offset, f" {unit}")}
             if triad == "accelerometer":
-                vectors["scales"] = (found.scale - 1, "1")
+                vectors["scales"] = (found.scale - 1, "")
             for what, (vector, own) in vectors.items():
                 length = float(np.linalg.norm(vector))
                 if 0 < length < _PX4_LEAST:
                     yield Loss(
                         what=f"{what} of the {triad} of {name}",
                         why=f"PX4 (in the versions seen) takes over a vector of {what} only where it changes by more "
-                        f"than {_PX4_LEAST} {own}: from the default it keeps {0 if what == 'offsets' else 1}.",
-                        size=f"their length is {length:.2g} {own}",
+                        f"than {_PX4_LEAST}{own}: from the default it keeps {0 if what == 'offsets' else 1}.",
+                        size=f"their length is {length:.2g}{own}",
                     )
 
 
