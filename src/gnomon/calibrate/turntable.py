@@ -11,6 +11,7 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
+from ..assess.imu.bias_steps import slope_finding
 from ..assess.imu.turntable_tables import TurntableFitSummary, describe_turntable
 from ..assess.imu.turntable_verdict import assess_turntable
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior, refuse_own_data
@@ -125,7 +126,30 @@ def calibrate_turntable(
             },
         ),
     )
-    return Result(calibration=with_changes(calibration, diagnostics.trust), diagnostics=diagnostics)
+    calibration = with_changes(calibration, diagnostics.trust)
+    return Result(calibration=_with_course(calibration, prepared, fit), diagnostics=diagnostics)
+
+
+def _with_course(calibration: Calibration, parts: TurntableParts, fit: TurntableFit) -> Calibration:
+    """Return the calibration with what the gyroscope's bias does with the temperature, where the rests tell it."""
+    course, known = fit.course, parts.temperature
+    if course is None or known is None:
+        return calibration
+    known = replace(known, gyroscope_bias=course.slopes)
+    calibration = calibration.with_temperature("imu0", known, {"gyroscope_bias": course.covariance})
+    uncertainty, assessed = calibration.uncertainty, calibration.assessment
+    at = [uncertainty.names.index(f"imu0.gyroscope.bias[{axis}]") for axis in range(3)]
+    matrix = uncertainty.matrix.copy()
+    matrix[at, at] += course.at_reference
+    factor = GYROSCOPE_UNITS_RAD_S[parts.gyroscope_unit]
+    told = [] if factor is None else [
+        slope_finding("gyroscope_bias", factor * course.slopes, factor**2 * course.covariance, known)
+    ]  # fmt: skip
+    return replace(
+        calibration,
+        uncertainty=replace(uncertainty, matrix=matrix),
+        assessment=replace(assessed, findings=(*assessed.findings, *told)),
+    )
 
 
 def _refuse_one_orientation(parts: TurntableParts) -> None:

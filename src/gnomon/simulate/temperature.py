@@ -63,7 +63,11 @@ def simulate_temperature(scenario: TemperatureScenario, seed: int = 0) -> Temper
     if scenario.turned and scenario.g_sensitivity:
         parts["gyroscope_g_sensitivity"] = scenario.g_sensitivity * rng.standard_normal((1, 3, 3))
     truth = TemperatureDependence(
-        reference_degc=reference, low_degc=low - _MARGIN_K, high_degc=high + _MARGIN_K, lag_s=scenario.lag_s, **parts
+        reference_degc=reference,
+        low_degc=low - _MARGIN_K,
+        high_degc=high + scenario.turned * scenario.self_heating_k + _MARGIN_K,
+        lag_s=scenario.lag_s,
+        **parts,
     )
     seeds = rng.integers(0, 2**31, scenario.recordings).tolist()
     if scenario.turned:

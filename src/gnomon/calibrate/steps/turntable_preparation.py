@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
+from ...assess.checks.temperature_checks import check_thermometers
 from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
@@ -14,9 +15,12 @@ from ...estimate.turntable.parts import TurntableParts
 from ...estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
 from ...findings import Finding, make_finding
 from ...options import StatedRate, TurntableOptions
-from ...recording import Floats, Integers, Recording, TriadSamples
+from ...recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
+from ...recording.thermometer import temperature_course
 from ...results.result import Booleans, StaticIntervals, interval_means
+from ...results.sensors import TemperatureDependence
 from ...units import GYROSCOPE_UNITS_RAD_S
+from .temperature_while_turned import rose_and_fell, temperature_powers
 from .turntable_attitudes import PlatterStream, turntable_parts
 
 _BETWEEN_FILES_S = 60.0
@@ -56,7 +60,33 @@ def prepare_turntable(
     values = np.array([rate.rate_rad_s for rate in speeds])
     found = assign_speeds(means, values, allowed, GYROSCOPE_UNITS_RAD_S[unit])
     _refuse_unlike(found, speeds, clipped, streams, unit)
-    return turntable_parts(streams, clipped, found, speeds, tuple(findings))
+    return _with_temperature(turntable_parts(streams, clipped, found, speeds, tuple(findings)), recordings, streams)
+
+
+def _with_temperature(
+    parts: TurntableParts, recordings: Sequence[Recording], streams: Sequence[PlatterStream]
+) -> TurntableParts:
+    """Return the parts with what the bias may follow of the temperature, where that both rose and fell."""
+    each = [next(iter(one.imus.values())).temperature for one in recordings]
+    t_ns, values, units = list[Integers](), list[Floats](), set[str]()
+    for stream, one in zip(streams, each, strict=True):
+        if one is None:
+            return parts
+        t_ns.append(one.t_ns - stream.gyroscope.t_ns[0] + round(1e9 * stream.begin_s))
+        values.append(one.values)
+        units.add(one.unit)
+    session = TemperatureSamples(t_ns=np.concatenate(t_ns), values=np.concatenate(values), unit=units.pop())
+    data, at_rest = parts.data, parts.data.rate == 0
+    course = temperature_course(session) if rose_and_fell(session) and not units and at_rest.any() else None
+    if course is None:
+        return parts
+    degc = course.with_rate(np.round(1e9 * data.t_s).astype(np.int64))
+    read = degc[:, 0]
+    known = TemperatureDependence(
+        reference_degc=float(read[at_rest].mean()), low_degc=float(read.min()), high_degc=float(read.max())
+    )
+    powers = temperature_powers(degc, read[at_rest], course.step_k)
+    return replace(parts, data=replace(data, degc=powers), temperature=known)
 
 
 def _refuse_alike(means: Floats, streams: Sequence[PlatterStream]) -> None:
@@ -119,7 +149,7 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
             if finding.severity == "problem":
                 raise RecordingError(str(finding))
         findings += [f for f in noticed if f.severity == "warning" and f.code not in _HARMLESS]
-        findings += [f for f in recording.findings if f.severity != "good"]
+        findings += [f for f in (*recording.findings, *check_thermometers({name: imu})) if f.severity != "good"]
         gyroscope, accelerometer = repair_samples(imu.gyroscope), imu.accelerometer
         if len(accelerometer) > 1:
             accelerometer = repair_samples(accelerometer)

@@ -18,7 +18,7 @@ from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.cluster_trust import RobustCovariance
 from .axis import AxisInSensor
-from .parts import TurntableData, drift_at, shown_density
+from .parts import BiasCourse, TurntableData, bias_course, drift_at, shown_density
 
 Sense = Literal["clockwise", "counterclockwise"]
 
@@ -60,6 +60,7 @@ class TurntableFit:
     clockwise : (n,) bool of each part
     drift : (n, 3) bias of each part minus its mean [unit]; zero where it stays
     drifts : whether the bias wandered
+    course : what it does with the temperature, which is part of `drift`; None where nothing tells
     """
 
     poses: TriadPoses
@@ -71,6 +72,7 @@ class TurntableFit:
     clockwise: Booleans
     drift: Floats
     drifts: bool
+    course: BiasCourse | None
 
 
 def fit_platter_accelerometer(
@@ -147,7 +149,7 @@ def fit_turntable(
     if accelerometer is None:
         poses = magnitude_poses(data, latitude_deg)
         drift = np.zeros_like(data.measured)
-        poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=False)
+        poses, fit, drift, drifts, course = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=False)
         fit, trust = robust_triad(fit, "imu0.gyroscope", t_s=data.t_s, stretch=data.pose, g_sensitivity=True)
         nobody = np.zeros(len(data.t_s), dtype=bool)
         return TurntableFit(
@@ -160,10 +162,11 @@ def fit_turntable(
             clockwise=nobody,
             drift=drift,
             drifts=drifts,
+            course=course,
         )
     clockwise = turning_senses(data, accelerometer, sense)
     poses = directed_poses(data, accelerometer, _theta(accelerometer), clockwise, latitude_deg)
-    poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=g_sensitivity)
+    poses, fit, drift, drifts, course = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=g_sensitivity)
     fit, trust = robust_triad(fit, "imu0.gyroscope", t_s=data.t_s, stretch=data.pose, g_sensitivity=True)
 
     def at(theta: Floats) -> TriadPoses:
@@ -180,6 +183,7 @@ def fit_turntable(
         clockwise=clockwise,
         drift=drift,
         drifts=drifts,
+        course=course,
     )
 
 
@@ -278,22 +282,29 @@ def _group_sigmas(data: TurntableData, latitude_deg: float | None, *, earth_know
 
 def _fit_with_drift(
     poses: TriadPoses, data: TurntableData, unknown_scale: bool, prior: TriadPrior | None, *, g_sensitivity: bool
-) -> tuple[TriadPoses, TriadFit, Floats, bool]:
-    """Fit, look whether the residuals at rest follow each other in time, and fit without that drift."""
+) -> tuple[TriadPoses, TriadFit, Floats, bool, BiasCourse | None]:
+    """Fit, look whether the residuals at rest follow the temperature, or each other in time, and fit without that."""
     fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
     at_rest = (poses.magnitude == 0) & fit.used
     residual = poses.measured - fit.bias
     if poses.force is not None:
         residual = residual - poses.force @ fit.g_sensitivity.T
     noise = poses.variance + (poses.magnitude_sigma**2)[:, None] * np.sum(fit.sensitivity**2, axis=1)
+    course = bias_course(data, residual, noise, at_rest, poses.force)
+    if course is not None:
+        poses = replace(poses, measured=poses.measured - course.at_parts, variance=poses.variance + course.variance)
+        residual, noise = residual - course.at_parts, noise + course.variance
+    followed = np.zeros_like(poses.measured) if course is None else course.at_parts
     found = drift_at(data.t_s, residual, noise, at_rest, data.walk)
     shows = found is not None and (data.walk is None or shown_density(data.t_s, residual, noise, at_rest) is not None)
     if found is None:
-        return poses, fit, np.zeros_like(poses.measured), False
+        if course is not None:
+            fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
+        return poses, fit, followed, False, course
     drift, variance = found
     poses = replace(poses, measured=poses.measured - drift, variance=poses.variance + variance)
     fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
-    return poses, fit, drift, shows
+    return poses, fit, followed + drift, shows, course
 
 
 def _joint_covariance(
