@@ -24,7 +24,7 @@ from .sources import LiveSource
 from .trials import Trial, TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
-_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 1.0, 1.0, 20
+_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 1.0, 1.0, 30
 _CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
