@@ -67,6 +67,14 @@ def test_full_turns_in_six_attitudes_give_the_scales():
     assert "rotations-few-attitudes" in codes(gnomon.calibrate_imu(recording))
 
 
+def test_an_attitude_to_which_the_sensor_comes_back_again_and_again_makes_no_others_wild():
+    recording, sensitivity = recorded(3, (*LEVEL, (Y, QUARTER), *((X, FULL), (Y, FULL)) * 5))
+    result = gnomon.calibrate_imu(recording)
+    off = result.calibration.parameter("imu0.gyroscope.sensitivity") - sensitivity
+    assert np.abs(np.diag(off))[:2].max() < 2e-3
+    assert "unit" not in codes(result)
+
+
 def test_nothing_asks_for_rotations_where_there_are_some():
     for turns in (LEVEL, ((X, QUARTER), (X, QUARTER), (X, QUARTER), (Z, QUARTER), (Z, HALF))):
         result = gnomon.calibrate_imu(recorded(3, turns)[0])

@@ -68,7 +68,9 @@ def usual_spread(measured: Floats) -> tuple[Floats, Floats]:
     centre = np.median(measured, axis=0)
     away = np.abs(measured - centre)
     distance = np.linalg.norm(away, axis=1)
-    away = away[distance <= _WILD * np.median(distance)]
+    half, more = np.quantile(distance, [0.5, 0.75])
+    usual = half if half > 0.05 * more else more  # most poses may be one attitude, to which the sensor came back
+    away = away[distance <= _WILD * usual]
     three_quarters, most = np.quantile(away, [0.75, 0.9], axis=0)
     spread = np.where(three_quarters > 0.05 * most, three_quarters, most)  # an axis may lie level nearly always
     spread = np.where(spread > 0, spread, away.mean(axis=0))
