@@ -94,15 +94,22 @@ def si_unit(unit: str) -> tuple[float, str]:
 
 
 def _si_dimension(unit: str) -> tuple[float, _Dimension]:
+    return _known_dimension(unit) or (1.0, {})  # of a field that is not known, in its own size
+
+
+def _known_dimension(unit: str) -> tuple[float, _Dimension] | None:
+    """Return size and dimension of a unit that may be a ratio of others in brackets; None where it is not known."""
     if unit in _UNITS:
         return _UNITS[unit]
-    over = (
-        re.fullmatch(r"\(?([^()]+)\)?/\(?([^()]+)\)?", unit) if "(" in unit else re.fullmatch(r"([^/]+)/([^/]+)", unit)
-    )
-    if over is None or not {over[1], over[2]} <= _UNITS.keys():
-        return 1.0, {}  # of a field that is not known, in its own size
-    (above, one), (below, other) = _UNITS[over[1]], _UNITS[over[2]]
-    return above / below, {name: one.get(name, 0) - other.get(name, 0) for name in {**one, **other}}
+    depth = np.cumsum([(character == "(") - (character == ")") for character in unit])
+    cuts = [i for i, character in enumerate(unit) if character == "/" and depth[i] == 0]
+    if not cuts:
+        return _known_dimension(unit[1:-1]) if unit.startswith("(") and unit.endswith(")") else None
+    above, below = _known_dimension(unit[: cuts[-1]]), _known_dimension(unit[cuts[-1] + 1 :])
+    if above is None or below is None:
+        return None
+    (size, one), (other_size, other) = above, below
+    return size / other_size, {name: one.get(name, 0) - other.get(name, 0) for name in {**one, **other}}
 
 
 def _dsi(dimension: _Dimension) -> str:
@@ -180,12 +187,19 @@ def _fill_conditions(parent: Element, calibration: Calibration) -> None:
     _add_text(condition, "name", "Gravity")
     _add_text(condition, "description", gravity.source)
     _add_real(_add(_add(condition, "data"), "quantity"), gravity.value, gravity.sigma, *si_unit("m/s^2"))
-    for key, name in (("temperature_c", "Temperature"), ("chip_degc", "Temperature of the chip")):
-        if key in stated:
+    temperatures = {"Temperature": stated.get("temperature_c"), "Temperature of the chip": stated.get("chip_degc")}
+    for imu, sensor in calibration.imus.items():
+        if (known := sensor.temperature) is not None:
+            temperatures |= {
+                f"Temperature at which the parameters of {imu} hold": known.reference_degc,
+                f"Lowest temperature for the coefficients of {imu}": known.low_degc,
+                f"Highest temperature for the coefficients of {imu}": known.high_degc,
+            }
+    for name, degc in temperatures.items():
+        if degc is not None:
             condition = _add(parent, "influenceCondition")
             _add_text(condition, "name", name)
-            quantity = _add(_add(condition, "data"), "quantity")
-            _add_real(quantity, float(stated[key]), 0.0, 1.0, "\\degreecelsius")
+            _add_real(_add(_add(condition, "data"), "quantity"), float(degc), 0.0, 1.0, "\\degreecelsius")
 
 
 def _fill_parameters(parent: Element, calibration: Calibration) -> None:

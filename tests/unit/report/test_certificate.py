@@ -18,9 +18,12 @@ from gnomon.report.certificate.pdf import write_certificate
 from gnomon.report.certificate.tables import budget_table, certificate_tables
 from gnomon.report.page import parameter_line
 from gnomon.results.calibration import Covariance
+from gnomon.results.sensors import TemperatureDependence
 from html_page import Page
 
 FACTS = CertificateFacts(sensor="BMI270 <3>", serial="A-17", date="2026-03-31", temperature_c=21.5)
+
+SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
 
 
 @pytest.fixture
@@ -52,6 +55,17 @@ def test_the_marked_criterion_is_the_verdict(make_result):
         table = certificate_tables(make_result(verdict=verdict).calibration)[-1]
         assert table.rows[table.marked][0] == verdict
         assert table.marked == k
+
+
+def test_what_changes_with_the_temperature_stands_on_page_one(make_result):
+    calibration = make_result().calibration
+    slopes = np.array([[1e-4, -2e-4, 3e-4], [1e-6, 1e-6, 1e-6]])
+    known = TemperatureDependence(reference_degc=21.0, low_degc=-2.0, high_degc=44.0, gyroscope_bias=slopes)
+    table = certificate_tables(calibration.with_temperature("imu0", known, {"gyroscope_bias": 1e-12 * np.eye(6)}))[-2]
+    assert [row[0] for row in table.rows] == [f"Gyroscope bias {axis}" for axis in "xyz"]
+    assert all("/K" in row[3] for row in table.rows)
+    assert [float(row[1].replace("·10", "e").translate(SUPERSCRIPTS)) for row in table.rows] == pytest.approx(slopes[0])
+    assert "21.0 °C" in table.caption
 
 
 def test_the_budget_adds_up_and_tells_gravity_from_the_recording(make_result):

@@ -11,6 +11,7 @@ from gnomon.assess.uncertainty_budget import uncertainty_budget
 from gnomon.errors import OptionError
 from gnomon.findings import Finding
 from gnomon.results.calibration import Covariance, Source
+from gnomon.results.sensors import TemperatureDependence
 from gnomon.writers.digital_certificate import si_unit, write_digital_certificate
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -63,6 +64,26 @@ def root(calibration, tmp_path):
     return ElementTree.parse(tmp_path / "a.xml").getroot()
 
 
+def test_it_says_at_which_temperature_the_parameters_hold(calibration, tmp_path):
+    slopes = np.array([[1e-4, -2e-4, 3e-4]])
+    known = TemperatureDependence(reference_degc=21.0, low_degc=-2.0, high_degc=44.0, gyroscope_bias=slopes)
+    calibration = calibration.with_temperature("imu0", known, {"gyroscope_bias": 1e-12 * np.eye(3)})
+    write_digital_certificate(calibration, tmp_path / "a.xml", country="DE")
+    root = ElementTree.parse(tmp_path / "a.xml").getroot()
+    conditions = {
+        one.findtext("dcc:name/dcc:content", namespaces=NAMES): one.findtext(".//si:value", namespaces=NAMES)
+        for one in root.iterfind(".//dcc:influenceCondition", NAMES)
+    }
+    assert conditions["Temperature at which the parameters of imu0 hold"] == "21.0"
+    assert conditions["Lowest temperature for the coefficients of imu0"] == "-2.0"
+    units = [
+        one.findtext(".//si:unit", namespaces=NAMES)
+        for one in root.iterfind(".//dcc:quantity", NAMES)
+        if (one.findtext("dcc:name/dcc:content", namespaces=NAMES) or "").startswith("imu0.temperature.")
+    ]
+    assert units == [r"\kelvin\tothe{-1}"] * 3  # of counts
+
+
 def tag(element):
     return element.tag.rpartition("}")[2]
 
@@ -111,6 +132,7 @@ def test_units_are_those_of_d_si(root):
     assert si_unit("mg") == (pytest.approx(9.80665e-3), "\\metre\\second\\tothe{-2}")
     assert si_unit("count/uT") == (pytest.approx(1e6), "\\tesla\\tothe{-1}")
     assert si_unit("(deg/s)/(rad/s)") == (pytest.approx(np.pi / 180), "\\one")
+    assert si_unit("((rad/s)/(m/s^2))/K") == (1.0, "\\radian\\second\\metre\\tothe{-1}\\kelvin\\tothe{-1}")
     assert si_unit("(rad/s)/K^2") == (1.0, "\\radian\\second\\tothe{-1}\\kelvin\\tothe{-2}")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
 from ...results.calibration import Calibration
-from ..imu_parameters import imu_groups, parameter_groups
+from ..imu_parameters import groups_over_temperature, imu_groups, parameter_groups
 from ..numbers import MISSING, fixed_text, number_text, readable_unit
 from ..page import ParameterGroup, ReportTable
 
@@ -36,7 +36,7 @@ _CRITERIA = (
 
 def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
     """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
-    tables = _stated(calibration), _numbers(calibration), _criteria(calibration)
+    tables = _stated(calibration), _numbers(calibration), *_over_temperature(calibration), _criteria(calibration)
     return tuple(table for table in tables if table.rows)
 
 
@@ -67,6 +67,27 @@ def _numbers(calibration: Calibration) -> ReportTable:
         "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated.",
         dense=True,
     )
+
+
+def _over_temperature(calibration: Calibration) -> Iterator[ReportTable]:
+    """Yield, for each IMU that changes with its temperature, the slopes of biases and scales."""
+    for name, imu in calibration.imus.items():
+        if imu.temperature is None:
+            continue
+        known, groups = imu.temperature, groups_over_temperature(calibration, name)
+        yield ReportTable(
+            "Over the temperature" + (f", {name}" if len(calibration.imus) > 1 else ""),
+            ("", "slope", "U = 2σ", "unit"),
+            [
+                (f"{group.title.partition(' over ')[0]} {row.name[-1]}", row.value, row.expanded or MISSING, row.unit)
+                for group in groups
+                if "g-sensitivity" not in group.title
+                for row in group.rows
+            ],
+            f"At {known.reference_degc:.1f} °C, where the numbers that matter hold; known from {known.low_degc:.1f} to "
+            f"{known.high_degc:.1f} °C. All coefficients stand in calibration.yaml.",
+            dense=True,
+        )
 
 
 def _called(group: str, name: str) -> str:
