@@ -2,6 +2,8 @@
 
     python benchmarks/without_a_board.py seeds 8 [--motion around] [--board | --both]
     python benchmarks/without_a_board.py hostile
+    python benchmarks/without_a_board.py blur 2 --first 9200
+    python benchmarks/without_a_board.py cameras 2 --first 9001
     python benchmarks/without_a_board.py rotations 5
     python benchmarks/without_a_board.py lenses 10 --first 900
     python benchmarks/without_a_board.py euroc --data $GNOMON_DATA/euroc-imu-april --stated euroc
@@ -9,13 +11,15 @@
 `seeds` draws fresh rooms, paths and errors of an MPU-6000 (30 s, 20 Hz, gyroscope's walk 2e-4), and prints the error
 of the translation, of the rotation and of the time shift over their sigmas, and the sigmas over the bound of Cramer
 and Rao of the measurements that were used; with --board the same motion before an AprilGrid instead, whose corners are
-off by 0.1 px, with --both one after the other. `hostile` prints what becomes of scenes that are hard, or hopeless.
+off by 0.1 px, with --both one after the other; --exposure-s makes images sharper, and their rendering faster. `hostile`
+prints what becomes of scenes that are hard, or hopeless, `blur` of longer exposures, `cameras` of two cameras.
 `rotations` compares board and room where the rig turns as usual and twice as fast, and to all sides. `lenses` knows
 the lens by a covariance. `euroc` forgets the shape of the board of a real recording; `--stated` holds cam.yaml,
 imu.yaml and target.yaml.
 """
 
 import argparse
+import itertools
 import sys
 import tempfile
 import time
@@ -57,11 +61,16 @@ HOSTILE = {
     "unknown rolling shutter": replace(SMALL, line_delay_s=3e-5),
     "large empty hall": replace(SMALL, room_m=(14.0, 6.0, 14.0), furniture=0),
 }
+BLURS = (("normal", 0.004), ("normal", 0.015), ("normal", 0.025), ("shaky", 0.003), ("shaky", 0.005), ("shaky", 0.01))
+TWO_CAMERAS = (
+    replace(SMALL, cameras=2, duration_s=10.0, camera_rate_hz=12.0, exposure_s=0.0),
+    replace(SMALL, cameras=2, duration_s=12.0, camera_rate_hz=12.0, exposure_s=0.0, baseline_m=0.25, motion="around"),
+)
 Z_NAMES = ("T_cam_imu.translation", "T_cam_imu.rotation", "time_shift_cam_imu")
 
 
 def calibrate_room(scenario, seed, folder, *, board):
-    """Return the result and the truth of one recording; the lens is known, as its file in the folder says."""
+    """Return recording, result and truth; the lens is known, as its file in the folder says."""
     rig = scenario.rig()
     if board:
         rig = replace(rig, images=False, pixel_noise_px=0.1)
@@ -72,16 +81,16 @@ def calibrate_room(scenario, seed, folder, *, board):
         chain.write_text("".join(line for line in chain.read_text().splitlines(True) if "line_delay" not in line))
     files = {"cam": folder / "camchain.yaml", "imu": folder / "imu.yaml"}
     recording, target = gnomon.read_camera_imu(folder, target=folder / "target.yaml" if board else "none", **files)
-    return gnomon.calibrate_camera_imu(recording, target), simulation.truth
+    return recording, gnomon.calibrate_camera_imu(recording, target), simulation.truth
 
 
-def errors_of(result, truth):
+def errors_of(result, truth, camera="cam0"):
     """Return errors, sigmas and their bounds (7,) each, of translation [mm], rotation [mdeg] and time shift [us].
 
     The bound is that of Cramer and Rao for the measurements that were used, at their noise as it was found: the inverse
     of the information of all that is estimated jointly.
     """
-    found, true = (one.cameras["cam0"] for one in (result.calibration, truth))
+    found, true = (one.cameras[camera] for one in (result.calibration, truth))
     turn = np.degrees(rotvec_from_rotation(true.T_cam_imu[:3, :3].T @ found.T_cam_imu[:3, :3]))
     error = np.concatenate(
         [
@@ -91,7 +100,7 @@ def errors_of(result, truth):
         ]
     )
     trust = result.diagnostics.trust
-    own = [k for name in Z_NAMES for k, of in enumerate(trust.names) if of.partition("[")[0] == f"cam0.{name}"]
+    own = [k for name in Z_NAMES for k, of in enumerate(trust.names) if of.partition("[")[0] == f"{camera}.{name}"]
     units = np.repeat([1e3, 1e3 * 180 / np.pi, 1e6], [3, 3, 1])
     return error, trust.sigma[own] * units, trust.ordinary_sigma[own] * units
 
@@ -101,14 +110,26 @@ def run_one(scenario, seed, label, *, board=False):
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            result, truth = calibrate_room(scenario, seed, Path(folder), board=board)
+            recording, result, truth = calibrate_room(scenario, seed, Path(folder), board=board)
         except GnomonError as error:
             print(f"{label:26} refused: {error}", flush=True)
             return None
-    error, sigma, bound = errors_of(result, truth)
-    z = error / sigma
     calibration = result.calibration
     noted = sorted({finding.code for finding in calibration.assessment.findings if finding.severity != "info"})
+    for camera in calibration.cameras:
+        told, worst = _told(*errors_of(result, truth, camera))
+        share = landmark_map.coming_and_going(recording.cameras[camera])
+        print(
+            f"{label:26} {camera} {calibration.verdict:4} {told}  worst {worst:.1f}  come and go {share:.1%}",
+            flush=True,
+        )
+    print(f"{'':26} {time.process_time() - begin:.0f} s CPU  {' '.join(noted)}", flush=True)
+    return errors_of(result, truth)
+
+
+def _told(error, sigma, bound):
+    """Return what errors and sigmas come to, in words, and the worst error over its sigma."""
+    z = error / sigma
     parts = {"t mm": slice(0, 3), "R mdeg": slice(3, 6), "shift us": slice(6, 7)}
     size = {
         name: (np.linalg.norm(error[k]), np.linalg.norm(sigma[k]), np.sqrt(np.mean(z[k] ** 2)), _over(sigma, bound, k))
@@ -117,9 +138,7 @@ def run_one(scenario, seed, label, *, board=False):
     told = "  ".join(
         f"{name} {off:.3g} ({by:.3g}) z {score:.2f} bound x {over:.2f}" for name, (off, by, score, over) in size.items()
     )
-    spent_s = time.process_time() - begin
-    print(f"{label:26} {calibration.verdict:4} {told}  {spent_s:.0f} s CPU  {' '.join(noted)}", flush=True)
-    return error, sigma, bound
+    return told, float(np.abs(z).max())
 
 
 def _over(sigma, bound, part):
@@ -279,9 +298,10 @@ def check_lenses(first, count):
 def main():
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("seeds", "hostile", "euroc", "rotations", "lenses"))
+    parser.add_argument("what", choices=("seeds", "hostile", "blur", "cameras", "euroc", "rotations", "lenses"))
     parser.add_argument("count", nargs="?", type=int, default=8)
     parser.add_argument("--motion", default="normal")
+    parser.add_argument("--exposure-s", type=float, default=USUAL.exposure_s, help="of seeds")
     parser.add_argument("--first", type=int, default=100, help="the first seed")
     parser.add_argument("--board", action="store_true", help="before an AprilGrid")
     parser.add_argument("--both", action="store_true", help="without a board, and before an AprilGrid")
@@ -304,11 +324,20 @@ def main():
                 continue
             run_one(scenario, given.first, label)
         return
-    scenario = replace(USUAL, motion=given.motion)
+    seeds = range(given.first, given.first + given.count)
+    if given.what == "cameras":
+        for seed, scenario in itertools.product(seeds, TWO_CAMERAS):
+            run_one(scenario, seed, f"seed {seed}, {scenario.motion}")
+        return
+    if given.what == "blur":
+        for seed, (motion, exposure_s) in itertools.product(seeds, BLURS):
+            scenario = replace(SMALL, duration_s=12.0, motion=motion, exposure_s=exposure_s)
+            run_one(scenario, seed, f"seed {seed}, {motion}, {1e3 * exposure_s:g} ms")
+        return
+    scenario = replace(USUAL, motion=given.motion, exposure_s=given.exposure_s)
     ways = [False, True] if given.both else [given.board]
     results = [
-        [run_one(scenario, seed, f"seed {seed}{' board' * board}", board=board) for board in ways]
-        for seed in range(given.first, given.first + given.count)
+        [run_one(scenario, seed, f"seed {seed}{' board' * board}", board=board) for board in ways] for seed in seeds
     ]
     for column, board in enumerate(ways):
         print("\nbefore an AprilGrid:" if board else "\nwithout a board:")
