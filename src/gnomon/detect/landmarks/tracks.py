@@ -153,7 +153,7 @@ class Landmarks:
         step_by = np.linalg.inv(square) @ slope
         length, alike = np.zeros(len(which)), np.zeros(len(which))
         for _ in range(level.rounds):
-            seen = _sampled(image, places[:, None] + _grid(level))
+            seen = _sampled(image, places.T[:, :, None] + _grid(level)[:, None])
             alike = np.einsum("ns,ns->n", seen, template).astype(np.float64)
             step = (step_by @ (template - seen)[:, :, None])[:, :, 0].astype(np.float64)
             length = np.linalg.norm(step, axis=1)
@@ -165,10 +165,10 @@ class Landmarks:
         self, level: _Level, which: Integers, warps: Floats
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return how pieces should look (k, s), of unit length about their mean, and their slopes (k, 2, s) per px."""
-        wider = _node_weights(_grid(level, 1)) @ warps
-        centre = np.stack([np.full(len(which), _SIDE // 2), which * _SIDE + _SIDE // 2], axis=1)
+        wider = np.moveaxis(warps, 2, 0) @ _node_weights(level)
+        centre = np.stack([np.full(len(which), _SIDE // 2), which * _SIDE + _SIDE // 2])
         side = 2 * level.half + 3
-        values = _looked_up(self.blurred if level.blur_px else self.pieces, centre[:, None] + wider)
+        values = _looked_up(self.blurred if level.blur_px else self.pieces, centre[:, :, None] + wider)
         values = values.reshape(-1, side, side)
         inner, scale = _normalised(values[:, 1:-1, 1:-1].reshape(len(which), -1))
         slopes = values[:, 1:-1, 2:] - values[:, 1:-1, :-2], values[:, 2:, 1:-1] - values[:, :-2, 1:-1]
@@ -203,9 +203,10 @@ def blur_image(image: NDArray[Any], sigma_px: float) -> NDArray[np.float32]:
 
 @cache
 def _grid(level: _Level, border: int = 0) -> Floats:
+    """Return the places of samples (2, s), from the middle of a window [px]."""
     reach = np.arange(-level.half - border, level.half + border + 1, dtype=np.float64) * level.stride
     v, u = np.meshgrid(reach, reach, indexing="ij")
-    return np.asarray(np.stack([u.ravel(), v.ravel()], axis=1), np.float64)
+    return np.asarray(np.stack([u.ravel(), v.ravel()]), np.float64)
 
 
 def _nodes() -> Floats:
@@ -214,15 +215,16 @@ def _nodes() -> Floats:
     return _NODE_PX * np.stack([u.ravel(), v.ravel()], axis=1)
 
 
-def _node_weights(at: Floats) -> Floats:
-    """Return the weights (s, 9) by which values of the nodes are interpolated at places (s, 2), as quadratics."""
-    t = at / _NODE_PX
-    u, v = np.moveaxis(np.stack([t * (t - 1) / 2, 1 - t * t, t * (t + 1) / 2], axis=2), 1, 0)
-    return np.asarray((v[:, :, None] * u[:, None, :]).reshape(len(at), -1), np.float64)
+@cache
+def _node_weights(level: _Level) -> Floats:
+    """Return the weights (9, s) by which values of the nodes are interpolated, as quadratics."""
+    t = _grid(level, 1) / _NODE_PX
+    u, v = np.moveaxis(np.stack([t * (t - 1) / 2, 1 - t * t, t * (t + 1) / 2]), 1, 0)
+    return np.asarray((v[:, None] * u).reshape(_NODES, -1), np.float64)
 
 
 def _looked_up(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
-    u, v = (np.ascontiguousarray(at[..., axis], np.float32) for axis in (0, 1))
+    u, v = at.astype(np.float32)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
