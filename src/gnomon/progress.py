@@ -1,6 +1,8 @@
 """How far a long piece of work is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Self
 
 Progress = Callable[[str], None]
@@ -26,6 +28,7 @@ class Step(str):
     def __new__(cls, stage: str, done: int = 0, of: int | None = None, *, detail: bool = False) -> Self:
         """Return the sentence, with what it tells."""
         counted = f": {done} of {of}" if of else f": {done}" if done else ""
+        counted = f": {done} %" if of == 100 else counted
         step = super().__new__(cls, stage + counted)
         step.stage, step.done, step.of, step.detail = stage, done, of or None, detail
         return step
@@ -44,3 +47,24 @@ class Step(str):
 def as_step(sentence: str) -> Step:
     """Return a sentence as a step; a step as it is."""
     return sentence if isinstance(sentence, Step) else Step(sentence)
+
+
+_LISTENER: ContextVar[Progress | None] = ContextVar("listener", default=None)
+_LONG_BYTES = 1 << 25
+
+
+@contextmanager
+def listening_to(listener: Progress) -> Generator[None]:
+    """Let what is read in the meantime be told to a listener."""
+    token = _LISTENER.set(listener)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)
+
+
+def tell_read(name: str, done_bytes: int, of_bytes: int) -> None:
+    """Tell how much of a file is read to who listens, where it is a long one."""
+    listener = _LISTENER.get()
+    if listener is not None and of_bytes > _LONG_BYTES:
+        listener(Step(f"reading {name}", int(100 * min(done_bytes / of_bytes, 1)), 100))

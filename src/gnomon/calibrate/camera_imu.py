@@ -46,7 +46,7 @@ from ..findings import Finding
 from ..models.frames import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
-from ..progress import Progress
+from ..progress import Progress, Step
 from ..recording import Recording
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
@@ -141,7 +141,7 @@ def _calibrated(  # noqa: PLR0917
     prepared = rig.prepared
     estimated, rolling = with_line_delays(options, rig.looks, prepared.findings)
     lens = proven_lens(options, prepared.findings)
-    tell("estimating")
+    tell(Step("estimating", 0, 100))
     try:
         first = estimate_rig(rig, gravity, estimated, [known_imu(one) for one in known], tell, added=lens)
     except SolveError as error:

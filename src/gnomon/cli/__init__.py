@@ -5,7 +5,9 @@ from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable_text
+from ..progress import listening_to
 from .catalogue import parse_command
+from .inputs import refuse_missing
 from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal
 
@@ -37,7 +39,8 @@ def main(arguments: Sequence[str]) -> int:
         command = parse_command(arguments)
         terminal = Terminal(as_json=command.json, quiet=command.quiet, verbose=command.verbose, log=command.log)
         recover_interrupted_write(command)
-        with spared_inputs(command):
+        refuse_missing(command)
+        with spared_inputs(command), listening_to(terminal.progress):
             return command.run(terminal)
     except SystemExit:  # help or version was asked for, and printed
         return 0

@@ -4,7 +4,7 @@ import datetime
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -76,6 +76,10 @@ class Command(ABC):
         """Return values of fields instead of their defaults; they follow from the values that are given."""
         return {}
 
+    def lacking(self) -> list[str]:
+        """Return a sentence on each option that this recording needs and that was not given."""
+        return []
+
     @abstractmethod
     def run(self, terminal: "Terminal") -> int:
         """Carry it out, print to the terminal, and return the exit code."""
@@ -88,7 +92,7 @@ class FromScenario(Command):
 
     @classmethod
     def base_values(cls, values: Mapping[Place, Any]) -> Mapping[str, Any]:
-        """Return the options of the scenario file, where one is given.
+        """Return the options of the scenario file, where one is given, with a usual lens where its model alone is.
 
         Raises
         ------
@@ -98,7 +102,14 @@ class FromScenario(Command):
         from ..formats.own.options_file import read_options  # NumPy is not needed for most lines
 
         path = values.get(("scenario",))
-        return {"options": read_options(path, cls.scenario_type)} if path else {}
+        base = {"options": read_options(path, cls.scenario_type)} if path else {}
+        given = {name: values[place] for name in ("projection", "distortion") if (place := ("options", name)) in values}
+        if given and ("options", "distortion_coeffs") not in values:
+            start = base.get("options") or cls.scenario_type()
+            lens = start.with_usual_lens(**given)
+            own = ("options", "intrinsics") in values  # for images as they are
+            base["options"] = replace(lens, resolution=start.resolution) if own else lens
+        return base
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,15 @@
 """What options name: other calibrations of the sensor, the use that is judged for, files beside a recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError, RecordingError
 from ..models.lens_names import PROGRAMS
+from .command import Command
+from .parsing.arguments import command_entries
 
 if TYPE_CHECKING:
     from ..models.noise import ImuNoise
@@ -219,3 +222,72 @@ def refuse_overwriting(folder: Path, recording: Path, inputs: Mapping[str, Any],
                 raise OptionError(
                     f"{path}: the result would replace this file of --{option}. Choose another folder with -o."
                 )
+
+
+_MAKERS = {
+    "cam": "gnomon camera makes one",
+    "imu": "gnomon noise makes one",
+    "target": "gnomon target makes one",
+    "calibration": "gnomon imu and the other commands that calibrate make one",
+}
+"""Field of a command -> which command makes the file that it names."""
+_NAMING, _ENDINGS = ("prior", "use", "rate", "datasheet"), (".yaml", ".yml", ".json", ".mkv", ".avi", ".mp4", ".mov")
+"""Fields that may name files, and what then tells that they do."""
+
+
+def sources_of(texts: tuple[str, ...]) -> list[tuple[str, list[Path]]]:
+    """Return the name, or "", and the paths of each calibration; a path that is there is taken as it stands.
+
+    Examples
+    --------
+    >>> sources_of(("kalibr=run-camchain.yaml+run-imu.yaml",))
+    [('kalibr', [PosixPath('run-camchain.yaml'), PosixPath('run-imu.yaml')])]
+    """
+    found: list[tuple[str, list[Path]]] = []
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        if Path(text).exists() or not equals or "/" in name:
+            name, rest = "", text
+        if not rest:
+            raise OptionError(f"{text}: expected a path behind the name, such as first=monday-imu.")
+        parts = [rest] if Path(rest).exists() else [part for part in rest.split("+") if part]
+        found.append((name, [Path(part) for part in parts]))
+    return found
+
+
+def refuse_missing(command: Command) -> None:
+    """Refuse a command of which files are not there, or options not given: all of them are named at once.
+
+    Raises
+    ------
+    RecordingError
+        If a file or folder is not there.
+    OptionError
+        If an option is missing that the recording needs.
+    """
+    absent = [
+        f"{'' if entry.argument.positional else f'{entry.called} '}{path}"
+        + (f" ({_MAKERS[entry.place[-1]]})" if entry.place[-1] in _MAKERS else "")
+        for entry in command_entries(type(command))
+        if entry.place[-1] not in ("output", "log")
+        for path in _paths_stated(entry.place[-1], reduce(getattr, entry.place, command))
+        if not path.exists()
+    ]
+    lacking = command.lacking()
+    if absent:
+        what = "there is no such file or folder"
+        said = f"{absent[0]}: {what}" if len(absent) == 1 else f"{what}: {', '.join(absent)}"
+        lacking.insert(0, f"{said}. Check the path.")
+    if lacking:
+        raise (RecordingError if absent else OptionError)(" ".join(lacking))
+
+
+def _paths_stated(name: str, value: Any) -> Iterator[Path]:
+    """Yield the files and folders that the value of an option names."""
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, Path) and (name, one) != ("target", Path("none")):
+            yield one
+        elif isinstance(one, str) and name.startswith("calibration"):
+            yield from (path for _, paths in sources_of((one,)) for path in paths)
+        elif isinstance(one, str) and name in _NAMING and one.lower().endswith(_ENDINGS):
+            yield Path(one if Path(one).exists() else one.rpartition("=")[2])

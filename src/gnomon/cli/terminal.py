@@ -113,12 +113,18 @@ class Terminal:
     def progress(self, sentence: str) -> None:
         """Say which step the work is at, and how long it may still take; in one changing line on a terminal."""
         step = as_step(printable_text(sentence)) if type(sentence) is str else as_step(sentence)
+        if step.detail:  # beside the stage that goes on
+            self._keep(printable_text(step))
+            if self._verbose and not self._quiet:
+                self.close()
+                self._write(printable_text(step))
+            return
         begins = step.stage != self._stage or step.done < self._first
         if begins:
             self._stage, self._first, self._began_s = step.stage, step.done, time.monotonic()
         if begins or not step.of:
             self._keep(printable_text(step))
-        if self._quiet or (step.detail and not self._verbose):
+        if self._quiet:
             return
         if sys.stderr.isatty():
             self._show(step, begins=begins)

@@ -106,3 +106,12 @@ def test_what_is_simulated_is_a_word_of_its_own_or_an_imu():
 
 def test_of_an_option_that_is_given_twice_the_last_counts():
     assert parsed("imu a.csv --gravity 9.81 --json --gravity 9.8 --json").options.gravity == 9.8
+
+
+@pytest.mark.parametrize("line", ["--projection ds", "--projection eucm --distortion none", "--distortion equidistant"])
+def test_the_model_of_a_lens_alone_gives_a_usual_lens_of_it(tmp_path, line):
+    for kind in ("cameras", "camera-imu", "room"):
+        command = parse_command(["simulate", kind, "-o", str(tmp_path), *line.split()])
+        assert command.options.resolution == (752, 480)
+    own = parse_command(["simulate", "camera-imu", "-o", str(tmp_path), "--distortion", "radtan"])
+    assert own.options == parse_command(["simulate", "camera-imu", "-o", str(tmp_path)]).options

@@ -153,7 +153,8 @@ def test_table_of_the_imu_elsewhere(images, tmp_path) -> None:
 
 def test_options_for_cameras_need_cameras(tmp_path) -> None:
     samples(tmp_path / "alone.csv")
-    code, _, err = run("check", tmp_path / "alone.csv", "--target", "target.yaml", "--topics", "cam0=/x")
+    (tmp_path / "target.yaml").touch()
+    code, _, err = run("check", tmp_path / "alone.csv", "--target", tmp_path / "target.yaml", "--topics", "cam0=/x")
     assert code == 2
     assert "--target, --topics are for recordings with cameras, and there is none in this one" in err
 

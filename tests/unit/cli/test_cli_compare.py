@@ -11,7 +11,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.commands.compare import sources_of
+from gnomon.cli.inputs import sources_of
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
 from gnomon.simulate.sensor import TRUTH_METHOD

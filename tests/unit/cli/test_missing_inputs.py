@@ -39,6 +39,41 @@ def test_what_is_there_is_not_asked_for(rig, capsys):
     assert "--target is missing" not in words
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("compare no1 b=no2/calibration.yaml+no3 no4", ["no1", "no2/calibration.yaml", "no3", "no4"]),
+        ("imu no1.csv no2.csv --for no3.yaml --prior no4.yaml", ["no1.csv", "no2.csv", "--for no3.yaml", "no4.yaml"]),
+        ("apply no.yaml no1.csv no2.csv", ["no.yaml (gnomon imu", "no1.csv", "no2.csv"]),
+        ("turntable no1 no2", ["no1", "no2", "--rate is missing"]),
+        ("turntable no1 --rate no1=16rpm no2=no.mkv", ["no1", "--rate no.mkv"]),
+        ("temperature no1 no2 --calibration no3", ["no1", "no2", "--calibration no3"]),
+        ("verify no.yaml no1 --target no2", ["no.yaml", "no1", "--target no2 (gnomon target makes one)"]),
+        ("batch no1 no2 --kind imu --devices no3", ["no1", "no2", "--devices no3"]),
+        ("noise no1 --datasheet no2.yaml", ["no1", "--datasheet no2.yaml"]),
+        (
+            "camera-imu no1 --cam no2 --imu no3 --target no4",
+            ["no1", "--cam no2 (gnomon camera makes one)", "--imu no3 (gnomon noise makes one)", "--target no4"],
+        ),
+        ("batch", ["FOLDER and --kind", "are missing"]),
+        ("live", ["WHAT", "SOURCE and --output are missing"]),
+    ],
+)
+def test_everything_that_is_missing_is_named_in_one_go(capsys, monkeypatch, tmp_path, line, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(line.split()) in (2, 3)
+    told = said(capsys)
+    assert [word for word in words if word not in told] == []
+
+
+def test_a_file_and_an_option_that_are_missing_are_named_together(rig, capsys):
+    (rig / "target.yaml").unlink()
+    assert main(["camera-imu", str(rig), "--cam", "nowhere.yaml"]) == 3
+    words = said(capsys)
+    assert "--cam nowhere.yaml (gnomon camera makes one)" in words
+    assert "--target is missing" in words
+
+
 def test_a_turntable_without_stamps_is_told_its_own_option(tmp_path, capsys):
     simulation = gnomon.simulate_turntable(gnomon.TurntableScenario(steady_s=5.0), 0)
     values = next(iter(simulation.recordings[0].imus.values())).gyroscope.values

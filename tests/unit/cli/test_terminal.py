@@ -41,6 +41,30 @@ def test_details_are_for_who_asks(capsys):
     assert told(capsys) == ["estimating", "estimating", "iteration 1"]
 
 
+@pytest.mark.usefixtures("seconds")
+def test_a_detail_does_not_begin_a_stage_anew(capsys):
+    terminal = Terminal()
+    for done in range(0, 100, 10):
+        terminal.progress(Step(f"iteration {done}", detail=True))
+        terminal.progress(Step("estimating", done, 100))
+    lines = told(capsys)
+    assert lines[0] == "estimating: 0 %"
+    assert lines[1].startswith("estimating: ")
+    assert lines[1].endswith("s left")
+
+
+def test_a_long_file_tells_how_far_it_is_read(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("gnomon.progress._LONG_BYTES", 1 << 20)
+    table = tmp_path / "long.csv"
+    with table.open("w") as file:
+        file.write("t_ns,ax [m/s^2],ay [m/s^2],az [m/s^2]\n")
+        file.writelines(f"{k * 10_000_000},0.0123456789,9.80665,0.0\n" for k in range(60_000))
+    main(["check", str(table)])
+    lines = [line for line in told(capsys) if line.startswith("reading long.csv: ")]
+    assert len(lines) > 1
+    assert lines[-1] == "reading long.csv: 100 %"
+
+
 def test_quiet_tells_errors_alone(capsys, tmp_path):
     assert main(["imu", str(tmp_path / "none.csv"), "-q"]) == 3
     (line,) = told(capsys)
@@ -54,9 +78,8 @@ def test_a_log_keeps_everything_with_its_time(capsys, tmp_path):
     capsys.readouterr()
     head, *lines = log.read_text().splitlines()
     assert head == "# log of gnomon"
-    assert len(lines) == 4
+    assert len(lines) == 2
     assert all(line[4] == "-" and line[10] == "T" for line in lines)
-    assert "reading the recording" in lines[0]
     assert "there is no such file" in lines[1]
 
 

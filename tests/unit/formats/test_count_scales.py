@@ -73,6 +73,24 @@ def test_the_covariance_goes_along(counts):
     assert found.imus["imu0"].accelerometer.specific_force(sample / PER_G) == pytest.approx(force)
 
 
+@pytest.mark.parametrize("to", FLIGHT)
+def test_a_full_scale_of_another_range_is_refused(counts, to):
+    with pytest.raises(OptionError, match=r"has 16548 counts per g\. State by what its driver divides"):
+        export_texts(counts, to, accelerometer_lsb_per_g=8192.0, gyroscope_lsb_per_deg_s=PER_DEG_S)
+    with pytest.raises(OptionError, match=r"the gyroscope of imu0 has 130\.21 counts per deg/s"):
+        export_texts(counts, to, accelerometer_lsb_per_g=PER_G, gyroscope_lsb_per_deg_s=65.5)
+
+
+@pytest.mark.parametrize("to", FLIGHT)
+def test_unsigned_counts_are_said_not_to_be_those_of_a_driver(counts, to):
+    imu = counts.imus["imu0"]
+    shifted = replace(imu, accelerometer=replace(imu.accelerometer, bias=imu.accelerometer.bias + 32768))
+    scales = {"accelerometer_lsb_per_g": PER_G, "gyroscope_lsb_per_deg_s": PER_DEG_S}
+    said = [loss.what for loss in export_texts(replace(counts, imus={"imu0": shifted}), to, **scales).losses]
+    assert "zero of the accelerometer of imu0" in said
+    assert not any("zero of" in loss.what for loss in export_texts(counts, to, **scales).losses)
+
+
 def test_what_does_not_fit_is_refused(counts, random_calibration):
     with pytest.raises(OptionError, match="above zero"):
         export_texts(counts, "px4", accelerometer_lsb_per_g=0.0)

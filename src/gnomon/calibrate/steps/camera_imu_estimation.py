@@ -217,7 +217,6 @@ def basic_model(
     """
     if not options.compare or options.model == "basic":
         return None, []
-    tell("estimating the basic model for comparison")
     chosen = estimation_choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
     parameters = solution.state.parameters
     ideal = replace(parameters, imus=tuple(imu.without_errors() for imu in parameters.imus))
@@ -232,6 +231,8 @@ def basic_model(
             estimate_noise=False,
             gate=False,
             max_iterations=options.max_iterations,
+            tell=tell,
+            stage="estimating the basic model for comparison",
             workspace=solution.spare_workspace(),
         )
     except SolveError as error:

@@ -41,7 +41,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...models.target import Target
 from ...options import CameraImuOptions
-from ...progress import Progress
+from ...progress import Progress, Step
 from ...recording import Recording
 from ...results.calibration import CameraCalibration, Covariance
 from ...results.trust import ModelStep
@@ -225,14 +225,15 @@ def select_model(
     failed: dict[str, str] = {}
     rounds = _ROUNDS
     while rounds and asked != inside:
-        tell(f"estimating along: {', '.join(asked) or 'none of them'}")
+        stage = f"estimating along: {', '.join(asked) or 'none of them'}"
+        tell(Step(stage, 0, 100))
         try:
             if asked or solution.paused:
                 larger, beside = (
                     _larger_model(solution, asked, options, lens, beside),
                     None,
                 )  # once; its memory is used up
-                judged = _judged(_estimated(larger, options, tell, rests=solution.converged), stated, share)
+                judged = _judged(_estimated(larger, options, tell, stage, rests=solution.converged), stated, share)
             else:
                 judged = base()
         except SolveError as error:
@@ -451,7 +452,7 @@ def _after_step(larger: _LargerModel, beside: Solution, *, robust: bool) -> _Lar
     )
 
 
-def _estimated(larger: _LargerModel, options: CameraImuOptions, tell: Progress, *, rests: bool) -> Solution:
+def _estimated(larger: _LargerModel, options: CameraImuOptions, tell: Progress, stage: str, *, rests: bool) -> Solution:
     """Return the solution of a larger model.
 
     Parameters
@@ -474,6 +475,7 @@ def _estimated(larger: _LargerModel, options: CameraImuOptions, tell: Progress, 
         gate=options.robust,
         max_iterations=options.max_iterations,
         tell=tell,
+        stage=stage,
         workspace=larger.workspace,
         before=larger.before,
     )

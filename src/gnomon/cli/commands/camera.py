@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from ...errors import OptionError, RecordingError
+from ...errors import OptionError
 from ...models.lens_names import check_program, refit_models
 from ...options import CameraOptions
 from ...simulate.scenarios.cameras import CamerasScenario
@@ -97,22 +97,28 @@ class CameraCommand(Command):
                 f"resolution {self.resolution[0]} {self.resolution[1]} must be at least 1 pixel each way."
             )
 
+    def lacking(self) -> list[str]:
+        """Return what to say where there is no board's file, or nothing tells how large the images are."""
+        from ...calibrate.steps.camera_reading import untold_sizes
+        from ...readers.images.image_recording import refuse_without_cameras
+
+        place = self.recording
+        if not place.exists() or files_beside(place, {"target": self.target})[0]["target"] is not None:
+            return []
+        refuse_without_cameras(place)
+        sizes = "" if self.cam or self.resolution else untold_sizes(place)
+        return [NO_TARGET.format(folder=place if place.is_dir() else place.parent), *([sizes] if sizes else [])]
+
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
         from ...calibrate.cameras import calibrate_cameras
-        from ...calibrate.steps.camera_reading import read_camera_views, untold_sizes
+        from ...calibrate.steps.camera_reading import read_camera_views
         from ...formats.kalibr.cam_results import save_camera_files
-        from ...readers.images.image_recording import recording_holds_imu, refuse_without_cameras
+        from ...readers.images.image_recording import recording_holds_imu
 
         folder = self.output or default_folder((self.recording,), "camera")
-        if not self.recording.exists():
-            raise RecordingError(f"{self.recording}: there is no such file or folder. Check the path.")
         beside, taken = files_beside(self.recording, {"target": self.target})
-        if (target := beside["target"]) is None:
-            refuse_without_cameras(self.recording)
-            folder = self.recording if self.recording.is_dir() else self.recording.parent
-            sizes = "" if self.cam or self.resolution else untold_sizes(self.recording)
-            raise OptionError(f"{NO_TARGET.format(folder=folder)} {sizes}".rstrip())
+        target = beside["target"]
         refuse_overwriting(folder, self.recording, {"cam": self.cam, "target": target}, CAMERA_FILES)
         with result_folder(folder, "camera", own=CAMERA_FILES) as staging:
             terminal.progress("reading the recording")

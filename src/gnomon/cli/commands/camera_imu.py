@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from ...errors import OptionError, RecordingError
+from ...errors import OptionError
 from ...options import CameraImuOptions
 from ...simulate import CameraImuScenario, RoomScenario
 from ...units import Units
@@ -103,24 +103,19 @@ class CameraImu(Command):
         if self.workers is not None and self.workers < 1:
             raise OptionError(f"workers {self.workers} must be at least 1.")
 
-    def kalibr_inputs(self) -> tuple[dict[str, Any], tuple[str, ...]]:
-        """Return Kalibr's files by the option that names them, and a sentence on those that were not named.
+    def _kalibr_files(self) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Return Kalibr's files by the option that names them, and a sentence on those that were not named."""
+        return files_beside(self.recording, {"cam": self.cam, "imu": self.imu, "target": self.target})
 
-        Raises
-        ------
-        RecordingError
-            If there is no such recording.
-        OptionError
-            If a file that is needed was not named, and is not in the recording's folder.
-        """
+    def lacking(self) -> list[str]:
+        """Return what to say of files that are needed, were not named, and are not in the recording's folder."""
         from ...calibrate.steps.camera_reading import untold_sizes
         from ...readers.images.image_recording import refuse_without_cameras, tells_no_lens
 
         place = self.recording
         if not place.exists():
-            raise RecordingError(f"{place}: there is no such file or folder. Check the path.")
-        folder = place if place.is_dir() else place.parent
-        files, taken = files_beside(place, {"cam": self.cam, "imu": self.imu, "target": self.target})
+            return []
+        folder, files = place if place.is_dir() else place.parent, self._kalibr_files()[0]
         missing = [NO_TARGET.format(folder=folder)] if files["target"] is None else []
         if files["cam"] is None and tells_no_lens(place):
             target = shlex.quote(str(files["target"] or "target.yaml"))
@@ -128,8 +123,7 @@ class CameraImu(Command):
             missing.append(_NO_CAM.format(folder=folder, recording=shlex.quote(str(place)), target=target + size))
         if missing:
             refuse_without_cameras(place)
-            raise OptionError(" ".join(missing))
-        return files, taken
+        return missing
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
@@ -139,7 +133,7 @@ class CameraImu(Command):
 
         folder = self.output or default_folder((self.recording,), "camera-imu")
         known, use = read_priors(self.options.prior), read_use_option(self.use)
-        inputs, taken = self.kalibr_inputs()
+        inputs, taken = self._kalibr_files()
         refuse_overwriting(folder, self.recording, inputs, CAMERA_IMU_FILES)
         with result_folder(folder, "camera-imu", own=CAMERA_IMU_FILES) as staging:
             terminal.progress("reading the recording")

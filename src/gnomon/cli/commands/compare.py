@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ...errors import OptionError
 from ..command import Command, output_option
+from ..inputs import sources_of
 from ..output_folder import default_folder, owner_of, result_folder
 from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_findings, result_files
@@ -80,26 +81,6 @@ class Compare(Command):
         code = UNUSABLE if found.verdict == "fail" else USABLE
         terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code
-
-
-def sources_of(texts: tuple[str, ...]) -> list[tuple[str, list[Path]]]:
-    """Return the name, or "", and the paths of each calibration; a path that is there is taken as it stands.
-
-    Examples
-    --------
-    >>> sources_of(("kalibr=run-camchain.yaml+run-imu.yaml",))
-    [('kalibr', [PosixPath('run-camchain.yaml'), PosixPath('run-imu.yaml')])]
-    """
-    found: list[tuple[str, list[Path]]] = []
-    for text in texts:
-        name, equals, rest = text.partition("=")
-        if Path(text).exists() or not equals or "/" in name:
-            name, rest = "", text
-        if not rest:
-            raise OptionError(f"{text}: expected a path behind the name, such as first=monday-imu.")
-        parts = [rest] if Path(rest).exists() else [part for part in rest.split("+") if part]
-        found.append((name, [Path(part) for part in parts]))
-    return found
 
 
 def _place(path: Path) -> Path:

@@ -62,11 +62,14 @@ class Turntable(Command):
     def __post_init__(self) -> None:
         if self.units is not None:
             Units.parse(self.units)
-        if not self.rate:
-            raise OptionError(
-                "--rate is missing: how fast the platter turned, such as --rate 33.33rpm, or a video of it. "
-                "Where nobody knows, state about how fast and add --free rate.scale."
-            )
+
+    def lacking(self) -> list[str]:
+        """Return what to say where no speed was given."""
+        asked = (
+            "--rate is missing: how fast the platter turned, such as --rate 33.33rpm, or a video of it. "
+            "Where nobody knows, state about how fast and add --free rate.scale."
+        )
+        return [] if self.rate else [asked]
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""

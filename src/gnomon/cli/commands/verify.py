@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ..command import CamFile, Command, FileOption, ForUse, ImuFiles, Report, TableOptions, output_option, topics_of
-from ..inputs import files_beside, read_use_option
+from ..inputs import files_beside, read_use_option, sources_of
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_assumptions, print_findings, result_files
 from ..terminal import Terminal, json_value
-from .compare import sources_of
 
 if TYPE_CHECKING:
     from ...assess.comparison.verification import Verification

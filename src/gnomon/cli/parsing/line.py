@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any, NoReturn, Protocol
 
 from ...errors import OptionError
+from ...findings import join_names
 from .arguments import Entry, Place, build_command, command_entries, read_value
 
 _WIDEST = 100
@@ -41,7 +42,8 @@ def parse_line(command: Any, words: Sequence[str], prog: str) -> Any:
     values = dict(_values(LineParser(prog=prog), entries, words))
     absent = [_with_choices(entry) for entry in entries if entry.default is MISSING and entry.place not in values]
     if absent:
-        raise OptionError(f"{', '.join(absent)} is missing. {prog} --help shows the options.")
+        are = "is" if len(absent) == 1 else "are"
+        raise OptionError(f"{join_names(absent)} {are} missing. {prog} --help shows the options, and examples.")
     return build_command(command, values, command.base_values(values))
 
 
@@ -131,7 +133,7 @@ def add_entry(
     metavar = tuple(entry.metavar.split()) if " " in entry.metavar else entry.metavar
     count = entry.values_each or "+"
     if entry.argument.positional:
-        count = count if entry.default is MISSING else "?" if count == 1 else "*"
+        count = count if required else "?" if count == 1 else "*"
         parser.add_argument(_dest(entry), nargs=count, metavar=metavar, **keywords)
         return
     count = count if several or entry.values_each else 1

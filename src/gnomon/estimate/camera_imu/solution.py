@@ -103,6 +103,7 @@ def minimise_cost(
     gate: bool,
     max_iterations: int,
     tell: Progress = lambda _: None,
+    stage: str = "estimating",
     workspace: Workspace | None = None,
     before: tuple[float, float] | None = None,
     enough: Callable[[Solution], bool] = lambda _: False,
@@ -117,6 +118,7 @@ def minimise_cost(
     estimate_noise : weigh by the levels that the residuals show
     estimate_walks : also by those of the biases' random walks
     gate : leave out frames that fit badly as a whole
+    tell, stage : called with how far this stage is
     before : largest and length of the step that led to the start, by equations with the columns of `extended`
     enough : asked near the minimum, once noise levels and frames are roughly known: whether to pause there
 
@@ -134,7 +136,7 @@ def minimise_cost(
     largest, length = before or (np.inf, np.inf)  # of the step before
     rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
-        tell(Step(f"iteration {done + 1}: largest step {step.largest:.2g} sigma", detail=True))
+        _tell_iteration(tell, stage, done, step.largest)
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
             settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
             judgements += settled
@@ -243,6 +245,13 @@ def _judged(
         used=measurements.used if same_frames else kept,
         same=same_noise and same_frames,
     )
+
+
+def _tell_iteration(tell: Progress, stage: str, done: int, largest: float) -> None:
+    """Tell how far a stage is: each iteration that is left makes the step some thirty times smaller."""
+    tell(Step(f"iteration {done + 1}: largest step {largest:.2g} sigma", detail=True))
+    left = 1 + max(np.log(largest / _AT_REST), 0.0) / np.log(30)
+    tell(Step(stage, int(100 * done / (done + left)), 100))
 
 
 def _stalled(iterations: list[Iteration]) -> bool:

@@ -119,6 +119,8 @@ def _gyroscope(triad: DiagonalTriad) -> GyroscopeCalibration:
 
 
 _NOTHING = 1e-12
+_SHIFTED = {"accelerometer": 5.0, "gyroscope": 1.0}
+"""Offset of every axis [m/s^2, rad/s] that no sensor has."""
 
 
 @value_class
@@ -190,6 +192,13 @@ def flight_losses(calibration: Calibration, whose: str, most: int, context: Cont
         flight = flight_imu(imu)
         for conversion in si_conversions(imu):
             triad: DiagonalTriad = getattr(flight, conversion.triad)
+            if np.abs(triad.offset).min() > _SHIFTED[conversion.triad]:
+                yield Loss(
+                    what=f"zero of the {conversion.triad} of {name}",
+                    why=f"its counts seem to be unsigned, and drivers give {whose} signed ones: these offsets do not "
+                    "fit them. Subtract the zero in the recording, such as 32768, and calibrate anew.",
+                    size=f"every axis is off by {np.abs(triad.offset).min():.3g} {conversion.si} and more",
+                )
             rest = triad.rest(si_sensitivity(imu, conversion))
             if np.abs(rest).max() > _NOTHING:
                 is_accelerometer = conversion.triad == "accelerometer"

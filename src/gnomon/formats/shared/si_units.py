@@ -124,6 +124,8 @@ _NEAR = 0.06
 """How far a sensor may be from its data sheet."""
 
 _UNITS = {"accelerometer": "g", "gyroscope": "deg/s"}
+_FOREIGN = 1.3
+"""Factor from which on a full scale is not that of the sensor: the next one is twice as large."""
 
 
 def with_full_scale(
@@ -134,7 +136,7 @@ def with_full_scale(
     Raises
     ------
     OptionError
-        If a full scale is not above zero, or there are no such counts.
+        If a full scale is not above zero or not that of the sensor, or there are no such counts.
     """
     scales = {"accelerometer": lsb_per_g, "gyroscope": lsb_per_deg_s}
     for triad, lsb in scales.items():
@@ -151,6 +153,7 @@ def with_full_scale(
             found = getattr(imu, triad)
             if lsb is None or not _counts(found):
                 continue
+            _check_full_scale(name, triad, found, lsb)
             imus[name] = replace(imus[name], **{triad: _divided(found, lsb, _UNITS[triad])})
             per_lsb = {f"{name}.{triad}.{block}": 1 / lsb for block in ("sensitivity", "bias", "g_sensitivity")}
             of_temperature = {f"{triad}_bias": 1 / lsb, f"{triad}_g_sensitivity": 1 / lsb}
@@ -201,12 +204,28 @@ def _divided(
     return replace(triad, **changed)
 
 
+def _check_full_scale(
+    name: str, triad: str, found: AccelerometerCalibration | GyroscopeCalibration, lsb: float
+) -> None:
+    """Refuse a full scale that is not the sensor's."""
+    counts, unit = _counts_per_unit(triad, found), _UNITS[triad]
+    if not 1 / _FOREIGN < counts / lsb < _FOREIGN:
+        raise OptionError(
+            f"{_OPTIONS[triad]} {lsb:g}: the {triad} of {name} has {counts:.5g} counts per {unit}. State by what its "
+            "driver divides; the full scale may have been another one in the recording."
+        )
+
+
+def _counts_per_unit(triad: str, found: AccelerometerCalibration | GyroscopeCalibration) -> float:
+    nominal = abs(np.linalg.det(found.sensitivity)) ** (1 / 3)
+    return nominal * STANDARD_GRAVITY_M_S2 if triad == "accelerometer" else nominal / degrees(1)
+
+
 def _found(triad: str, found: AccelerometerCalibration | GyroscopeCalibration) -> str:
     """Say how many counts make a unit, and which full scales of data sheets that may be."""
-    nominal = abs(np.linalg.det(found.sensitivity)) ** (1 / 3)
-    counts = nominal * STANDARD_GRAVITY_M_S2 if triad == "accelerometer" else nominal / degrees(1)
+    counts = _counts_per_unit(triad, found)
     near = sorted((abs(counts / lsb - 1), lsb) for lsb in _KNOWN[triad] if abs(counts / lsb - 1) < _NEAR)
-    unit = "g" if triad == "accelerometer" else "deg/s"
+    unit = _UNITS[triad]
     if not near:
         return f"{counts:.5g} counts per {unit}, no usual full scale ({_OPTIONS[triad]} LSB)"
     away, lsb = near[0]

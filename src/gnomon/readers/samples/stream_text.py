@@ -4,8 +4,8 @@ import gzip
 import io
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Generator, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...frozen import value_class
+from ...progress import tell_read
 from ...recording import Integers, Source, TriadSamples
 from ...units import Units
 from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
@@ -104,7 +105,7 @@ def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, st
 
 def _head(path: Path) -> TextFile:
     """Return the beginning of a file, cut at a line end."""
-    with _opened(path) as (stream, header):
+    with _opened(path) as (stream, header, _):
         data = stream.read(_HEAD_BYTES)
         if len(data) == _HEAD_BYTES and b"\n" in data:
             data = data[: data.rfind(b"\n") + 1]
@@ -262,7 +263,7 @@ def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
     """Yield (number of the first line, whole lines) from the first row of data on."""
     line, carry, count = plan.layout.first_line, b"", 0
     size = plan.path.stat().st_size
-    with _opened(plan.path) as (stream, _):
+    with _opened(plan.path) as (stream, _, place):
         _skip(stream, plan.layout.offset)
         block = stream.read(block_bytes)
         while block:
@@ -277,6 +278,7 @@ def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
             text = carry + block
             end = text.rfind(b"\n") + 1 if ahead else len(text)
             text, carry = text[:end], text[end:]
+            tell_read(plan.path.name, place(), size)
             if text.strip():
                 yield line, text
             line += text.count(b"\n")
@@ -289,12 +291,12 @@ def _skip(stream: _Bytes, count: int) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...]]]:
+def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...], Callable[[], int]]]:
     """Open a table as UTF-8 bytes without byte order mark, unpacked if it is gzipped, printed lines made rows.
 
     Yields
     ------
-    stream, header : the bytes, and the names of columns that printed lines tell
+    stream, header, place : the bytes, the names of columns that printed lines tell, and how far the file is read
 
     Raises
     ------
@@ -302,10 +304,11 @@ def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...]]]:
         If it cannot be read, or its gzip stream is cut off or damaged.
     """
     try:
-        with _text_stream(path) as stream:
+        with _text_stream(path) as (stream, _):
             form = printed_form(stream.read(PRINTED_HEAD_BYTES))
-        with _text_stream(path) as stream:
-            yield (stream, ()) if form is None else (_Rewritten(stream, LineRewriter(form)), form.header)
+        with _text_stream(path) as (stream, place):
+            rows = stream if form is None else _Rewritten(stream, LineRewriter(form))
+            yield rows, form.header if form else (), place
     except EOFError:
         raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
     except (gzip.BadGzipFile, zlib.error) as error:
@@ -313,16 +316,16 @@ def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...]]]:
 
 
 @contextmanager
-def _text_stream(path: Path) -> Generator[_Bytes]:
+def _text_stream(path: Path) -> Generator[tuple[_Bytes, Callable[[], int]]]:
     packed = first_bytes(path).startswith(b"\x1f\x8b")
-    with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+    with path.open("rb") as raw, gzip.open(raw) if packed else nullcontext(raw) as stream:
         mark = stream.read(3)
         stream.seek(3 if mark == b"\xef\xbb\xbf" else 0)
         if mark[:2] in {b"\xff\xfe", b"\xfe\xff"}:
             stream.seek(0)
-            yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline=""))
+            yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline="")), raw.tell
         else:
-            yield stream
+            yield stream, raw.tell
 
 
 class _Pieces(ABC):

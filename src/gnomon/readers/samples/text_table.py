@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...frozen import value_class
+from ...progress import tell_read
 from ...recording import Floats, Integers, Source, measurable_numbers
 from ..files import TextFile
 
@@ -25,7 +26,7 @@ _COMMA, _NEWLINE = b",\n"
 
 
 def parse_number_table(
-    data: bytes, offset: int, delimiter: str | None, kinds: Sequence[str]
+    data: bytes, offset: int, delimiter: str | None, kinds: Sequence[str], name: str = ""
 ) -> list[Floats | Integers] | None:
     """Return the columns of a table that is numbers throughout; None where it is anything else, or not quite regular.
 
@@ -36,6 +37,7 @@ def parse_number_table(
     data : text, of which the table begins at byte `offset`
     delimiter : between the columns
     kinds : "f8" or "i8", one for each column
+    name : of the file, to tell how far it is read
     """
     if delimiter not in {",", ";", "\t"} or not set(kinds) <= {"f8", "i8"}:
         return None
@@ -56,6 +58,7 @@ def parse_number_table(
             return None
         parts.append(columns)
         begin = end + 1
+        tell_read(name, begin, len(table))
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
@@ -277,7 +280,9 @@ def parse_columns(
     data, note = _without_cut_line(file, layout)
     if layout.decimal_comma:
         data = data.replace(b",", b".")
-    columns: list[Column] | None = parse_number_table(data, layout.offset, layout.delimiter, [k or "f8" for k in kinds])
+    columns: list[Column] | None = parse_number_table(
+        data, layout.offset, layout.delimiter, [k or "f8" for k in kinds], file.name
+    )
     if columns is None:
         columns = _any_columns(file, layout, kinds, data, may_be_lost)
     numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]

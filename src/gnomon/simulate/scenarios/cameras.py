@@ -3,7 +3,7 @@
 What to simulate of cameras before a board, without an IMU; it is also the simulated recording's scenario file.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from ...errors import OptionError
@@ -126,6 +126,21 @@ class TrueLens:
 
     resolution: tuple[int, int] = (640, 480)
     """Width and height of the images in px."""
+
+    def with_usual_lens(
+        self, projection: ProjectionName | None = None, distortion: DistortionName | None = None
+    ) -> Self:
+        """Return the same with a usual lens of another model, see `USUAL_LENSES`; of others without coefficients."""
+        projection = projection or self.projection
+        if distortion is None:
+            distortion = self.distortion if f"{projection}-{self.distortion}" in USUAL_LENSES else "none"
+        if (projection, distortion) == (self.projection, self.distortion):
+            return self
+        usual = USUAL_LENSES.get(f"{projection}-{distortion}")
+        intrinsics, coeffs = usual or (self.intrinsics, ())
+        model: dict[str, Any] = {"projection": projection, "distortion": distortion}
+        size = (752, 480) if usual else self.resolution
+        return replace(self, **model, intrinsics=intrinsics, distortion_coeffs=coeffs, resolution=size)
 
     def check_lens(self) -> None:
         """Check that a lens has as many numbers as its model.
