@@ -628,19 +628,21 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
 
 /* running sums for Allan variances (estimate/allan/deviation.py) */
 
-/* The running sums (3, n + 1) of three axes (n, 3), without the straight line from their first to their last value. */
+/* The running sums (3, n + 1) of three axes (n, 3) about their means. */
 CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, double *x) {
-    double *const axes[3] = {x, x + n + 1, x + 2 * (n + 1)}, sum[3] = {0.0, 0.0, 0.0};
+    double *const axes[3] = {x, x + n + 1, x + 2 * (n + 1)};
+    double sum[3] = {0.0}, lanes[12] = {0.0}, mean[3];
+    for (int64_t k = 0; k + 4 <= n; k += 4)
+        for (int j = 0; j < 12; j++) lanes[j] += y[3 * k + j];
+    for (int64_t k = n / 4 * 4; k < n; k++)
+        for (int i = 0; i < 3; i++) lanes[i] += y[3 * k + i];
+    for (int i = 0; i < 3; i++) mean[i] = (lanes[i] + lanes[3 + i] + lanes[6 + i] + lanes[9 + i]) / (double)n;
     for (int64_t k = 0; k < n; k++)
         for (int i = 0; i < 3; i++) {
             axes[i][k] = sum[i];
-            sum[i] += y[3 * k + i];
+            sum[i] += y[3 * k + i] - mean[i];
         }
-    for (int i = 0; i < 3; i++) {
-        double *axis = axes[i], slope = sum[i] / (double)n;
-        for (int64_t k = 0; k < n; k++) axis[k] -= slope * (double)k;
-        axis[n] = 0.0;
-    }
+    for (int i = 0; i < 3; i++) axes[i][n] = sum[i];
 }
 
 /* fits of corners (detect/corners/corner_fit.py), in single precision pixel by pixel, as there */

@@ -189,7 +189,7 @@ def integrate_segments(
 
 
 def running_sums(samples: Floats) -> Floats:
-    """Return the running sums (3, n + 1) of samples (n, 3), without the line from their first to their last value."""
+    """Return the running sums (3, n + 1) of samples (n, 3) about their means."""
     library = load_kernel()
     assert library is not None
     found = np.empty((3, len(samples) + 1))

@@ -14,7 +14,7 @@ from gnomon.cli import main
 from gnomon.cli.inputs import sources_of
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
-from gnomon.simulate.sensor import TRUTH_METHOD
+from gnomon.results.calibration import TRUTH_METHOD
 from html_page import Page
 
 

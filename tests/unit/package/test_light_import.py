@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ("numpy", "scipy", "scipy.stats", "matplotlib", "jinja2", "yaml", "cattrs", "rich")
+HEAVY = ("numpy", "numpy.random", "scipy", "scipy.stats", "matplotlib", "jinja2", "yaml", "cattrs", "rich")
 
 
 def loaded_after(code):
@@ -49,6 +49,12 @@ def test_every_public_name_is_there():
     assert callable(gnomon.simulate)
     with pytest.raises(AttributeError, match="nothing_like_this"):
         _ = gnomon.nothing_like_this
+
+
+def test_tables_and_comparisons_need_no_random_numbers():
+    loaded = loaded_after("import gnomon.writers.tables, gnomon.assess.comparison.candidates")
+    assert "numpy" in loaded
+    assert "numpy.random" not in loaded
 
 
 def test_a_rig_needs_no_statistics_of_scipy():

@@ -59,8 +59,7 @@ def product_sums(values: Floats, levels: int) -> list[AxisProducts]:
 def _running_sum(y: Floats) -> Floats:
     x = np.empty(len(y) + 1)
     x[0] = 0.0
-    np.cumsum(y, out=x[1:])
-    _without_line(x)
+    np.cumsum(y - y.mean(), out=x[1:])  # z_m does not see the mean
     return x
 
 
@@ -98,16 +97,6 @@ def _end_sums(x: Floats, levels: int) -> Floats:
             found[rows, level] = square, far_square, float(np.dot(near, far)), total - far_total
             square, total = square + far_square, total + far_total
     return found
-
-
-def _without_line(x: Floats) -> None:
-    """Take the straight line from the first to the last value off x, in place: z_m does not see it."""
-    slope = float(x[-1]) / (len(x) - 1)
-    ramp = slope * np.arange(float(_PRODUCTS_PIECE))
-    for start in range(0, len(x), _PRODUCTS_PIECE):
-        piece = x[start : start + _PRODUCTS_PIECE]
-        piece -= ramp[: len(piece)]
-        piece -= slope * start
 
 
 def _lagged_products(x: Floats, count: int) -> Floats:
