@@ -142,3 +142,16 @@ def test_study_of_white_noise():
     assert all(0.95 - tolerance < z < 1.1 + tolerance for z in robust.values())
     assert alarms["model-incomplete"] <= 0.01 * len(found)
     assert alarms["parts-disagree"] <= 0.04 * len(found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("swing_s", "told"), [(0.0, False), (3e-3, True)])
+def test_stamps_that_wander_with_the_exposure_are_told(swing_s, told):
+    """The mean of the time shift is right, but no single image has it."""
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=16.0), seed=3)
+    frames = simulation.recording.cameras["cam0"]
+    t_s = (frames.t_ns - frames.t_ns[0]) * 1e-9
+    late_ns = np.rint(0.5e9 * swing_s * np.sin(2 * np.pi * t_s / 5.0)).astype(np.int64)
+    moved = replace(simulation.recording, cameras={"cam0": replace(frames, t_ns=frames.t_ns + late_ns)})
+    found = calibrate_camera_imu(moved, simulation.target, CameraImuOptions(compare=False)).calibration
+    assert ("time-shift-varies" in {finding.code for finding in found.assessment.findings}) == told

@@ -7,10 +7,11 @@ cause takes over their severity.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import radians
+from math import radians, sqrt
 
 from ..estimate.trust.cluster_trust import Instability
 from ..findings import Finding, Severity, make_finding
+from ..options.requirements import GENERAL_RIG
 from ..results.calibration import Gravity, Verdict
 from ..results.trust import SigmaRatio, Splits, Trust, UncertaintySummary
 from ..units import STANDARD_GRAVITY_M_S2
@@ -153,6 +154,7 @@ def _explained(findings: list[Finding]) -> list[Finding]:
 
 _INCOMPLETE = 2.0
 """Published sigma over that for independent errors from which on the model leaves something out."""
+_VARIES = 5.0  # the same, from which on a time shift is no constant
 
 _SHOWN = 3
 
@@ -205,6 +207,19 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
 
 def _lasting(memory_s: float) -> str:
     return f"Errors that last for {memory_s:.2g} s" if memory_s > 0 else "Errors of different size"
+
+
+def time_shift_varies(trust: Trust) -> list[Finding]:
+    """Say that a camera's time shift differs from one stretch of time to the next, by more than general use needs."""
+    found: list[Finding] = []
+    for entry in underestimated_blocks(trust):
+        name, _, path = entry.block.partition(".")
+        if trust.clusters is None or path != "time_shift_cam_imu" or entry.ratio < _VARIES:
+            continue
+        spread_s = float(trust.sigma[trust.names.index(entry.block)]) * sqrt(trust.clusters.count)
+        if spread_s > GENERAL_RIG.needs["time_shift"]:
+            found.append(make_finding("time-shift-varies", name=name, spread_ms=1e3 * spread_s, ratio=entry.ratio))
+    return found
 
 
 def parts_disagree(splits: Splits | None, cure: str = "") -> list[Finding]:

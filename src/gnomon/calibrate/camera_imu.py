@@ -18,7 +18,13 @@ from ..assess.checks.early_findings import judged_again, unmodelled_effects
 from ..assess.checks.temperature_checks import check_thermometers
 from ..assess.needs import with_precision
 from ..assess.priors import Priors, refuse_own_data
-from ..assess.verdict import model_incomplete, parts_disagree, uncertainty_summary, underestimated_blocks
+from ..assess.verdict import (
+    model_incomplete,
+    parts_disagree,
+    time_shift_varies,
+    uncertainty_summary,
+    underestimated_blocks,
+)
 from ..assess.weak_findings import (
     added_findings,
     camera_imu_weak,
@@ -231,6 +237,7 @@ def _assess(
         *out_of_order(solution.layout, solution.state.parameters),
         *model_incomplete(trust, likely),
         *parts_disagree(trust.splits),
+        *time_shift_varies(trust),
     )
     uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
     shutters, state = shutters_estimated(prepared.findings, result.cameras, uncertain), solution.state.parameters

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.assess.checks.early_findings import neighbour_correlation
-from gnomon.assess.verdict import model_incomplete, parts_disagree, uncertainty_summary
+from gnomon.assess.verdict import model_incomplete, parts_disagree, time_shift_varies, uncertainty_summary
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 
@@ -52,6 +52,16 @@ def test_parts_disagree_beyond_the_limit_only():
     (finding,) = parts_disagree(parts(1.9))
     assert (finding.code, finding.severity) == ("parts-disagree", "warning")
     assert "cam0.T_cam_imu.rotation by 3.8 sigma: [1], first half and second half" in finding.message
+
+
+@pytest.mark.parametrize(("ratio", "sigma", "told"), [(16.0, 2e-4, True), (3.0, 2e-4, False), (16.0, 1e-4, False)])
+def test_a_time_shift_that_varies_is_told_where_it_matters(ratio, sigma, told):
+    """By 0.5 ms, rms of its stretches: the sigma of a mean of twenty is 4.5 times smaller."""
+    found = replace(
+        trust(), sigma=np.array([sigma]), ratios=(SigmaRatio(block="cam0.time_shift_cam_imu", ratio=ratio),)
+    )
+    assert [finding.code for finding in time_shift_varies(found)] == told * ["time-shift-varies"]
+    assert time_shift_varies(replace(found, clusters=None)) == []
 
 
 def test_note_keeps_what_counts():
