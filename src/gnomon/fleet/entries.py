@@ -21,7 +21,7 @@ class LibraryEntry:
     Attributes
     ----------
     serial, measured, station, operator : what was stated of it; measured is YYYY-MM-DD; "" where it was not
-    temperature_c : of the measurement, as stated or by the chip; nan where neither tells
+    temperature_c : of the measurement, as stated, by the chip, or at which the numbers hold; nan where nothing tells
     kind : the command that made it, such as "imu"
     verdict, use, version, folder : verdict, what it was judged for, the gnomon that made it, the folder of its result
     gravity : what was taken for gravity [m/s^2]
@@ -66,12 +66,13 @@ class LibraryEntry:
         covered = np.flatnonzero(np.diag(matrix) > 0)
         known_part = matrix[np.ix_(covered, covered)]
         known = list(calibration_parameters(calibration.imus, calibration.cameras))
+        holds_at = [imu.temperature.reference_degc for imu in calibration.imus.values() if imu.temperature is not None]
         return cls(
             serial=stated.get("serial", serial),
             measured=stated.get("date", ""),
             station=stated.get("place", ""),
             operator=stated.get("operator", ""),
-            temperature_c=float(stated.get("temperature_c", stated.get("chip_degc", "nan"))),
+            temperature_c=float(stated.get("temperature_c", stated.get("chip_degc", [*holds_at, "nan"][0]))),
             kind=calibration.provenance.method,
             verdict=calibration.verdict,
             use=assessment.trust.use,

@@ -20,8 +20,10 @@ from fleet_line import NAMES, device
 from gnomon.errors import FormatError, OptionError
 from gnomon.fleet import library as library_module
 from gnomon.fleet import schema
+from gnomon.fleet.entries import LibraryEntry
 from gnomon.fleet.export import export_table
 from gnomon.fleet.library import Library
+from gnomon.results.sensors import TemperatureDependence
 
 TESTS = str(Path(__file__).parents[2])
 
@@ -104,6 +106,7 @@ def test_a_file_is_read_without_sqlalchemy(place):
     code = f"""
 import sys
 from gnomon.fleet.library import Library
+from gnomon.results.sensors import TemperatureDependence
 with Library({place!r}) as library:
     assert library.count() == len(list(library.entries(serial="SN1"))) == 1
 assert "sqlalchemy" not in sys.modules
@@ -146,6 +149,7 @@ WRITER = """
 import sys
 from fleet_line import device
 from gnomon.fleet.library import Library
+from gnomon.results.sensors import TemperatureDependence
 with Library(sys.argv[1], create=True) as library:
     for k in range(int(sys.argv[3])):
         entry = device(f"{sys.argv[2]}-{k}", k, seed=k)
@@ -252,3 +256,10 @@ def test_a_postgresql_server_keeps_the_same(postgresql):
         (found,) = library.entries(serial="SN1", details=True)
     assert found.names == NAMES
     np.testing.assert_array_equal(found.covariance, entry.covariance)
+
+
+def test_a_calibration_over_the_temperature_holds_at_its_reference(random_calibration):
+    calibration = random_calibration()
+    known = TemperatureDependence(reference_degc=21.0, low_degc=0.0, high_degc=40.0, gyroscope_bias=np.ones((1, 3)))
+    calibration = calibration.with_temperature("imu0", known, {"gyroscope_bias": np.eye(3)})
+    assert LibraryEntry.of_calibration(calibration).temperature_c == 21.0
