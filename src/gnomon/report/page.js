@@ -2,7 +2,7 @@
 // Zoom and pan: every figure changes its viewBox and nothing else, so that the page is whole without this script.
 // Figures over time follow each other; views of space are turned about their middle.
 const followers = [];
-document.querySelector(".hint").hidden = false;
+document.querySelector(".hint").hidden = !document.querySelector("svg.plot");
 const unfold = () => {
   const section = document.getElementById(location.hash.slice(1));
   section?.querySelector("details")?.setAttribute("open", "");
