@@ -48,7 +48,7 @@ _FAINT, _PRUNED = 3.0, 3  # of a point whose sightings scatter; rounds
 _SEEN_TIMES = 22.0  # landmarks that are followed through a key frame; found again there are some times as many
 _MOST_LANDMARKS = 300
 _ALIKE = 0.8  # correlation of landmarks in a scene that repeats itself; elsewhere 0.4 to 0.7
-_COMING = 0.2  # share of the landmarks that come or go where images are blurred: 0.4; elsewhere 0.02 to 0.05
+_COMING = 0.1, 0.2  # share of landmarks that come or go: warned of, refused; waved 0.02 to 0.05, shaken from 0.15 on
 _REACH_PX, _NEAR_PX = 18.0, 6.0
 
 
@@ -169,9 +169,9 @@ def map_landmarks(
             lens_covariance=entry.lens_covariance,
         )
     found = [
-        make_finding("scene-blurred", name=camera, share=share)
+        make_finding("scene-blurred", severity="problem" if share > _COMING[1] else "warning", name=camera, share=share)
         for camera, seen in frames.items()
-        if (share := coming_and_going(seen)) > _COMING
+        if (share := coming_and_going(seen)) > _COMING[0]
     ]
     if (likeness := landmarks.likeness()) > _ALIKE:
         found.append(make_finding("scene-repeats", name=name, likeness=likeness))
