@@ -23,7 +23,7 @@ STATED: Mapping[str, str] = FrozenMapping(
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
 BUDGET_TITLE = "Where the uncertainty comes from"
-_MOST = 12
+_MOST = 14
 """Numbers on page one."""
 _MATTERS = ("scale", "bias")
 """Ends of the titles of the groups of a triad that stand on page one."""
