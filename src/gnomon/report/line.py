@@ -19,6 +19,7 @@ from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Sec
 
 _CHARTS = 6
 _WORST = 50
+_EQUAL = 1e-9  # of what is needed: sigmas that scatter by less are equal but for rounding
 _HEIGHT = 180.0
 
 
@@ -99,7 +100,7 @@ def _needs_table(line: LineAssessment) -> ReportTable:
     for (block, needed, unit), known in of.items():
         sigmas = np.array([sigma for sigma, _ in known])
         spread = float(sigmas.std(ddof=1)) if len(sigmas) > 1 else 0.0
-        cpk = process_capability(float(sigmas.mean()), spread, upper=needed).cpk if spread > 0 else np.nan
+        cpk = process_capability(float(sigmas.mean()), spread, upper=needed).cpk if spread > _EQUAL * needed else np.nan
         passed = sum(verdict == "pass" for _, verdict in known)
         median = number_text(float(np.median(sigmas)), 2)
         cells = (number_text(needed, 2), median, number_text(float(sigmas.max()), 2), unit, number_text(cpk, 3))

@@ -105,7 +105,9 @@ def test_the_report_of_a_line_says_all_of_it_and_stays_small():
     line = healthy_line(120, 8, again=30)
     line[5] = with_added(line[5], 8, 9 * SPREAD[8])
     line = [replace(entry, serial="<script>x</script>") if entry.serial == "SN00005" else entry for entry in line]
-    small = render_page(line_page(assess_line(line_table(line))))
+    page = line_page(assess_line(line_table(line)))
+    assert page.front[0].rows[0][5] == "–"  # sigmas that are equal but for rounding have no spread, and no Cpk
+    small = render_page(page)
     text = small.decode()
     assert "<script>x" not in text
     assert "&lt;script&gt;x&lt;/script&gt; is unlike the others" in text
