@@ -235,6 +235,20 @@ def test_a_wrong_guess_does_no_harm():
         assert a.value == pytest.approx(b.value, abs=0.05 * a.sigma + 1e-12)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_images_of_two_cameras_that_were_exchanged_are_told(exchanged):
+    """By what is stated of them; lens and noise are alike."""
+    simulation = simulated(cameras=2)
+    seen, names = simulation.recording.cameras, ("cam0", "cam1")
+    frames = {
+        name: replace(seen[other], T_cam_imu=simulation.truth.cameras[name].T_cam_imu)
+        for name, other in zip(names, reversed(names) if exchanged else names, strict=True)
+    }
+    result = calibrate_camera_imu(replace(simulation.recording, cameras=frames), simulation.target, OPTIONS)
+    assert ("extrinsics-contradicted" in codes(result)) == exchanged
+
+
 def test_nothing_needs_to_be_estimated():
     simulation = simulated(imu="ideal")
     result, found = calibrated(simulation, stated(simulation), model="basic", fix=("gravity.direction[0]", "cam0"))

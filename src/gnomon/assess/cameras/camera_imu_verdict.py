@@ -1,5 +1,7 @@
 """Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
 
+from itertools import combinations
+
 import numpy as np
 
 from ...estimate.camera_imu.choices import LADDER
@@ -21,6 +23,7 @@ _HELD = 0.3
 _SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
 _OF_IMU = ("scale", "misalignment", "g-sensitivity", "lever arms", "accelerometer delay")
 _GUESS_RAD = np.radians(10.0)
+_EXCHANGED = 3.0  # times nearer to where the other camera was stated to be
 _NOISE_FACTOR = 3.0
 _WALK = ".walk"
 _ONE_AXIS = 0.1
@@ -279,23 +282,27 @@ def _model(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> 
 
 
 def _stated_guess(evidence: CameraImuFitSummary) -> list[Finding]:
+    """Say where a camera lies otherwise than it was stated to: turned, or as another camera was."""
+    stated = {look.name: look.frames.T_cam_imu for look in evidence.looks}
+    known = {name: T for name, T in stated.items() if T is not None}
+    found = {name: evidence.published.cameras[name].T_cam_imu for name in known}
     findings: list[Finding] = []
-    for look in evidence.looks:
-        stated = look.frames.T_cam_imu
-        if stated is None:
-            continue
-        found = evidence.published.cameras[look.name].T_cam_imu
-        angle = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3].T @ found[:3, :3])))
-        inverse = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3] @ found[:3, :3])))
+    for name, T in known.items():
+        angle = float(np.linalg.norm(rotvec_from_rotation(T[:3, :3].T @ found[name][:3, :3])))
+        inverse = float(np.linalg.norm(rotvec_from_rotation(T[:3, :3] @ found[name][:3, :3])))
         if angle > _GUESS_RAD:
             findings.append(
                 make_finding(
-                    "extrinsics-contradicted",
-                    case="inverse" if inverse < _GUESS_RAD else "",
-                    name=look.name,
-                    angle=angle,
+                    "extrinsics-contradicted", case="inverse" if inverse < _GUESS_RAD else "", name=name, angle=angle
                 )
             )
+    for name, other in combinations(known, 2):
+        own, exchanged = (
+            sum(float(np.linalg.norm(found[one] - known[two])) for one, two in pairs)
+            for pairs in (((name, name), (other, other)), ((name, other), (other, name)))
+        )
+        if own > _EXCHANGED * exchanged:
+            findings.append(make_finding("extrinsics-contradicted/exchanged", name=name, other=other))
     return findings
 
 
