@@ -98,8 +98,8 @@ def captured(seed, use, *, random):
         "confirmed": state.confirmed,
         "verdict": gnomon.judge(calibration, use).verdict,
         "worst": float(np.max(np.abs(errors[sigma > 0]) / sigma[sigma > 0])),
-        "shown": {need.block: need.sigma / reached[need.block] for need in state.prospect.needs},
-        "foreseen": {need.block: need.sigma / reached[need.block] for need in ahead.needs},
+        "shown": {one.block: one.sigma / reached[one.block] for one in state.prospect.needs if one.block in reached},
+        "foreseen": {one.block: one.sigma / reached[one.block] for one in ahead.needs if one.block in reached},
     }
 
 
