@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
+from ...progress import tell_read
 from ...recording import TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..files import ZIP_DAMAGE, array_header, refuse_false_arrays
@@ -20,6 +21,9 @@ from .npz import SensorArray, sensor_arrays
 from .stamps import guess_time_unit, to_ns
 from .stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .table import uniform_stamps
+
+_SAMPLE_BYTES = 56
+"""Of two triads at one timestamp."""
 
 _UNITS = {
     "accelerometer": ACCELEROMETER_UNITS_M_S2,
@@ -147,6 +151,7 @@ class _Triad:
                 t_ns = to_ns(next(clock), self.clock_unit, self.path.name)
             yield TriadSamples(t_ns=t_ns, values=values, unit=self.unit)
             done += len(raw)
+            tell_read(self.path.name, done * _SAMPLE_BYTES, shape[0] * _SAMPLE_BYTES)
 
 
 def _array(archive: zipfile.ZipFile, key: str, rows: int) -> Iterator[NDArray[Any]]:
