@@ -217,6 +217,7 @@ def test_unknown_variances_survive(random_calibration, tmp_path):
         (lambda m, k: m.__setitem__((k[2], k[2]), -1e-9), "is below zero"),
         (lambda m, k: m.__setitem__((k[2], k[1]), 3 * np.sqrt(m[k[1], k[1]] * m[k[2], k[2]])), "than their variances"),
         (lambda m, k: m.__setitem__((k[2], k[2]), 0.0), "larger than their variances allow"),
+        (lambda m, k: m.__setitem__((k[2], k), [-1e3, 0.0, 0.0]), "larger than their variances allow"),
         (lambda m, k: m.__setitem__(np.ix_(k, k), unlike(np.sqrt(np.diag(m)[k]))), "not positive semi-definite"),
     ],
 )
@@ -264,3 +265,17 @@ def test_findings_keep_their_subject_and_cause(random_calibration, tmp_path):
         older = "\n".join(line for line in older.split("\n") if key not in line)
     (tmp_path / "older.yaml").write_text(older, encoding="utf-8")
     assert gnomon.load(tmp_path / "older.yaml").assessment.findings[1].follows_from == "rolling-shutter"
+
+
+@pytest.mark.parametrize("sigma", ["-1.0", "inf", "1e308"])
+def test_what_is_no_standard_deviation_in_a_table_is_refused(sigma, random_calibration, tmp_path, capsys):
+    gnomon.save(random_calibration(), tmp_path / "c.yaml")
+    assert main(["convert", str(tmp_path / "c.yaml"), "--to", "csv", "-o", str(tmp_path)]) == 0
+    path = tmp_path / "calibration.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    row = next(k for k, line in enumerate(lines) if line.startswith('"imu0.'))
+    lines[row] = ",".join([*lines[row].rsplit(",", 2)[:1], sigma, "1"])
+    path.write_text("\n".join(lines), encoding="utf-8")
+    capsys.readouterr()
+    assert main(["show", str(path)]) == 3
+    assert f"line {row + 1}: {sigma} is no standard deviation" in capsys.readouterr().err

@@ -513,7 +513,8 @@ def _check_covariance(matrix: Floats, names: tuple[str, ...], node: Node) -> Non
         raise node.fail(f"the variance of {names[int(np.argmin(variance))]} is below zero.")
     sigma = np.sqrt(variance)
     scale = np.where(sigma > 0, sigma, np.finfo(float).tiny)
-    correlation = matrix / scale[:, None] / scale
+    with np.errstate(over="ignore"):  # beside a variance of zero: endless, and refused
+        correlation = matrix / scale[:, None] / scale
     above = np.tril(np.abs(correlation), -1)
     if names and above.max() > 1 + _ROUNDED:
         i, j = (int(place) for place in np.unravel_index(int(np.argmax(above)), above.shape))

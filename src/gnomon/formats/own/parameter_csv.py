@@ -34,6 +34,7 @@ from ..shared.structured import read_structured_text
 from .calibration_file import FIELD_UNITS, TEMPERATURE_NUMBERS
 from .calibration_text import FRAMES
 
+_LARGEST_SIGMA = 1e100  # whose square is a number
 _SHAPES = {
     "accelerometer": {"sensitivity": (3, 3), "bias": (3,)},
     "gyroscope": {"sensitivity": (3, 3), "bias": (3,), "g_sensitivity": (3, 3)},
@@ -216,6 +217,8 @@ class _Table:
                 raise FormatError(
                     f"{self.path}, line {number}: found {row[1]!r} and {row[2]!r}, expected two numbers."
                 ) from None
+            if sigmas[index] < 0 or sigmas[index] > _LARGEST_SIGMA:  # nan: not known
+                raise FormatError(f"{self.path}, line {number}: {row[2]} is no standard deviation.")
             unit = row[3]
         self.sigmas[parameter] = sigmas
         return values, unit
