@@ -99,12 +99,12 @@ def test_bad_files_are_refused_in_words(run, tmp_path, content, words) -> None:
 
 
 def test_bad_options_are_refused_in_words(run, simulated, tmp_path) -> None:
-    for arguments, words in (
-        (("--field", "48000"), "nowhere on Earth"),
-        (("--prior", "nothing.yaml"), "there is no such file"),
-        (("--fix", "imu0.magnetometer.nothing"), "no such parameter"),
+    for arguments, words, expected in (
+        (("--field", "48000"), "nowhere on Earth", 2),
+        (("--prior", "nothing.yaml"), "there is no such file", 3),
+        (("--fix", "imu0.magnetometer.nothing"), "no such parameter", 2),
     ):
         code, _, err = run("magnetometer", simulated / "rec.npz", "-o", tmp_path / "out", *arguments)
-        assert code == 2
+        assert code == expected
         assert words in err
         assert not (tmp_path / "out").exists()
