@@ -247,19 +247,19 @@ def test_output_that_nobody_reads_is_no_error(calibrated):
         assert process.stderr.read() == b""
 
 
-def test_an_unexpected_error_is_short_unless_asked_for(monkeypatch, run):
+def test_an_unexpected_error_is_short_unless_asked_for(monkeypatch, run, tmp_path):
     def broken(*_arguments, **_keywords):
         raise ZeroDivisionError("oops")
 
     monkeypatch.setattr("gnomon.cli.commands.show.Show.run", broken)
     monkeypatch.delenv("GNOMON_DEBUG", raising=False)
-    code, _, err = run("show", "x")
+    code, _, err = run("show", tmp_path)
     assert code == 1
     assert "ZeroDivisionError: oops" in err
     assert "Traceback" not in err
     monkeypatch.setenv("GNOMON_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
-        run("show", "x")
+        run("show", tmp_path)
 
 
 def test_an_interruption_leaves_nothing(recording, monkeypatch, run, names):

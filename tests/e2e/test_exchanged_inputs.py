@@ -49,7 +49,7 @@ CASES = {
     "verify result poses.csv": "the recording of averages alone: nothing to verify",
     "batch --kind imu log.csv": "log.csv: this is a file. Name the folder with the recordings",
     "turntable --rate 33rpm": "PATH is missing",
-    "live imu": "SOURCE is missing",
+    "live imu": "SOURCE and --output are missing",
     "live imu /dev/ttyUSB0 -o live": "Name it as serial:/dev/ttyUSB0",
     "batch runs": "--kind imu | camera-imu | camera | magnetometer is missing",
 }

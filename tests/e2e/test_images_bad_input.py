@@ -309,7 +309,7 @@ CAM_FILES = {
     "noise": ("imu.yaml", "This seems to be the noise of an IMU, which belongs to --imu"),
     "an image": ("cam0/data.png", "this is no text file"),
     "a table": ("imu0.csv.gz", "this is no text file"),
-    "nothing": ("nowhere.yaml", "there is no such file. Check the path."),
+    "nothing": ("nowhere.yaml", "there is no such file or folder. Check the path."),
     "a folder": ("cam0", "this is a folder"),
 }
 
@@ -377,7 +377,7 @@ def test_a_file_of_another_kind_is_no_camera(run, walks, tmp_path, file, words):
     shutil.copy(recorded.images_of(walks.rendered())[0], folder / "cam0" / "data.png")
     code, _, err = run("camera-imu", walks.rendered(), "--cam", folder / file, "-o", tmp_path / "out")
     assert code == BAD_INPUT
-    assert f"gnomon: {folder / file}: " in err
+    assert str(folder / file) in err
     assert words in err
     assert not (tmp_path / "out").exists()
 

@@ -68,5 +68,6 @@ def test_wrong_usage(words, message, tmp_path, capsys):
 
 
 def test_a_program_where_a_use_is_stated(tmp_path, capsys):
+    (tmp_path / "log.csv").touch()
     assert main(["imu", str(tmp_path / "log.csv"), "--for", "okvis"]) == 2
     assert "gnomon camera --for okvis chooses" in " ".join(capsys.readouterr().err.split())

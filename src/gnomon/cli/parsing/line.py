@@ -78,13 +78,17 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
     """Yield the values that are given, with the places of their fields."""
     for entry in entries:
         add_entry(parser, entry)
+    error = None
     try:
         found, others = parser.parse_known_intermixed_args(words)
-    except OptionError:
-        found = _with_operands_behind(parser.prog, entries, words)
-        if found is None:
-            raise
-        others = []
+    except OptionError as why:
+        found, others, error = Namespace(), list[str](), why
+    if error or _lacks_operands(found, entries):
+        behind = _with_operands_behind(parser.prog, entries, words)
+        if behind is not None and not _lacks_operands(behind, entries):
+            found, others = behind, []
+        elif error:
+            raise error
     if others:
         names = [name for entry in entries if not entry.argument.positional for name in entry.names]
         bare = {name.lstrip("-"): name for name in names}
@@ -102,6 +106,11 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
             yield entry.place, read_value(entry, [word for words in given for word in words])
         else:  # the last counts, as is usual: so a script's options can be overruled
             yield entry.place, not entry.default if entry.kind is bool else read_value(entry, given[-1])
+
+
+def _lacks_operands(found: Namespace, entries: Sequence[Entry]) -> bool:
+    needed = (entry for entry in entries if entry.argument.positional and entry.default is MISSING)
+    return not all(hasattr(found, _dest(entry)) for entry in needed)
 
 
 def _with_operands_behind(prog: str, entries: Sequence[Entry], words: Sequence[str]) -> Namespace | None:
