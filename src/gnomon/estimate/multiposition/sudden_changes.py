@@ -35,11 +35,8 @@ from .scaling import with_runs
 
 _CHANCE = 0.005  # that a recording in which nothing changed is said to have changed
 _FEWEST = 3  # rotations on either side
-_CAUSES, _MOST_PLACES, _PLACES_COUNT = (
-    4,
-    40,
-    8,
-)  # places that are tried, that count as looks
+_CAUSES = 4
+_MOST_PLACES, _PLACES_COUNT = 40, 8  # that are tried, that count as looks
 _NOISE_COUNTS = 20.0  # degrees of freedom that the noise at rest counts as: variances that it tells to 30 %
 _FEWEST_LEFT = 6.0  # degrees of freedom
 _LARGEST = 0.1  # standard deviation of a change beforehand [rad, 1]
