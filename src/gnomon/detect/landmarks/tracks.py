@@ -317,10 +317,11 @@ def _fresh_points(image: Grey, taken: np.ndarray) -> np.ndarray:
     mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 255
     for x, y in taken.tolist():
         cv2.circle(mask, (round(x), round(y)), _APART_PX, 0, -1)
+    found: Any  # None of an image without corners, which its stubs do not know
     found, strength = cv2.goodFeaturesToTrackWithQuality(
         image, _POINTS - len(taken), _QUALITY, _APART_PX, mask, blockSize=5
     )
-    found = found[strength.ravel() >= _LEAST_CORNER] if found is not None else ()  # which its stubs do not know
+    found = () if found is None else found[strength.ravel() >= _LEAST_CORNER]
     if not len(found):
         return np.empty((0, 2), np.float32)
     return cv2.cornerSubPix(
