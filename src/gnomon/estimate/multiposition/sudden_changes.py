@@ -172,6 +172,7 @@ class _Problem:
 
     @classmethod
     def of(cls, fit: MultiPositionFit, kept: Booleans, cause: _Cause) -> "_Problem":
+        """Return the problem of a fit with the rotations that are `kept` (n - 1,)."""
         lines, p, new = fit.lines, len(fit.free), 3 * len(cause.rotation)
         noise = rotation_variance(fit.data, fit.state)
         whitening = replace(fit.whitening, rotation=kept / np.sqrt(noise + fit.extra.rotation))
