@@ -58,6 +58,14 @@ def test_copies_with_other_decimals_are_found(decimals):
     assert len(watch.copies()[0])
 
 
+def test_copies_are_found_behind_a_block_in_which_nothing_changes():
+    values, still = 0.02 * noise(1500), np.zeros((500, 3))  # rad/s of a sensor that starts late
+    watch = RepeatWatch()
+    for k, block in enumerate([still, *np.split(np.vstack([values, values]), 6)]):
+        watch.add(block, (500 * k + np.arange(500)) * 0.01)
+    assert len(watch.copies()[0])
+
+
 def test_samples_that_were_held_are_found_too():
     values = np.repeat(noise(500), 5, axis=0)  # a slow sensor in a fast log
     (found,) = repeated_stretches(np.vstack([values, values[500:1500]]))

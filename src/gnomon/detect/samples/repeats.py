@@ -17,6 +17,7 @@ from ...recording import Floats, Integers
 _LENGTH = 64  # successive different readings
 _DISTINCT = 32  # of them
 _SMALL = 0.1  # quantile of changes
+_SAME = 1e-9  # step [unit] of readings of which no change was seen
 _MOST_OFFSETS = 16
 _MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
 _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
@@ -124,9 +125,9 @@ class RepeatWatch:
 
 
 def _coarseness(values: Floats) -> Floats:
-    """Return steps (3,) in which readings are compared."""
+    """Return steps (3,) [unit] in which readings are compared; where none changes they have to be the same."""
     changes = [np.abs(column[column != 0]) for column in np.diff(values, axis=0).T]
-    return np.array([np.quantile(change, _SMALL) / 2 if len(change) else 1.0 for change in changes])
+    return np.array([np.quantile(change, _SMALL) / 2 if len(change) else _SAME for change in changes])
 
 
 def _in_steps(values: Floats, step: Floats) -> Floats:
