@@ -33,6 +33,7 @@ def test_a_power_cycle_costs_no_rest_and_no_sigma():
     assert segments.published == 1
     assert abs(segments.bias[1] - segments.bias[0] - [0.02, -0.02, 0.01]).max() < 1e-3
     assert step.severity == "info"
+    assert not any(f.code == "rotations-left-out" for f in found.findings)  # the one across the step, of which it tells
     rests = [f.message for f in gnomon.check(cut) if f.code == "attitudes"]
     assert "40 rests" in rests[0]  # as many as the calibration counts
 

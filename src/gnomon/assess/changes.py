@@ -157,13 +157,14 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
                 told=told,
             )
             continue
+        worst = max(zip(own, needed, strict=True), key=lambda pair: pair[0].size / pair[1] if pair[1] else 0.0)[0]
         yield make_finding(
             "parameter-changed",
             severity=severity,
             case="beyond" if beyond else "",
             told=told,
             where=own[0].where,
-            cure=_SCALES[own[0].quantity].cure,
+            cure=_SCALES[worst.quantity].cure,
         )
 
 

@@ -92,6 +92,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
             "need",
         }
     ),
+    "few-attitudes": frozenset({"uncertainty-accelerometer"}),
     "not-observable": frozenset(
         {"uncertainty-accelerometer", "uncertainty-gyroscope", "holdout-accelerometer", "holdout-rotation", "imprecise"}
     ),
@@ -110,6 +111,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
                 "beyond-noise",
                 "imprecise",
                 "lens-uncertain",
+                "turn-unseen",
             ),
         }
     ),
@@ -132,14 +134,14 @@ def _rank(code: str) -> int:
 
 
 def _explained(findings: list[Finding]) -> list[Finding]:
-    """Return findings of which those that follow from a cause are information, and the cause is as bad as they were."""
+    """Return findings of which those that follow from a loud cause are information, and it is as bad as they were."""
     told = list(findings)
     for cause in sorted({f.code for f in told if f.severity in _LOUD and f.code in _EXPLAINS}, key=_ORDER.__getitem__):
         if not any(f.code == cause and f.severity in _LOUD for f in told):
             continue  # another cause explains this one
-        follow = [k for k, f in enumerate(told) if f.severity in _LOUD and f.code in _EXPLAINS[cause]]
-        if not follow:
-            continue
+        follow = [
+            k for k, f in enumerate(told) if f.severity != "good" and f.code in _EXPLAINS[cause] and not f.follows_from
+        ]
         worst: Severity = "problem" if any(told[k].severity == "problem" for k in follow) else "warning"
         for k in follow:
             told[k] = replace(

@@ -17,7 +17,7 @@ from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostic
 from ..results.result import Result
 from ..units import share_words
 from ..writers.tables import value_text
-from .summary import common_decimals
+from .summary import common_decimals, gravity_lines
 
 
 def cameras_lines(result: Result) -> Iterator[str]:
@@ -131,13 +131,11 @@ def camera_imu_lines(result: Result) -> Iterator[str]:
     rest = "" if fit.converged else ", not converged"
     yield f"  trajectory         {fit.duration_s:.1f} s, {diagnostics.knots_per_s:.4g} knots/s{rest}"
     yield f"  model, body frame  {calibration.assessment.model}, {calibration.frame}"
-    gravity = calibration.gravity
-    sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
-    yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
+    yield from gravity_lines(calibration)
     tilt = hypot(*(p.sigma for p in diagnostics.parameters if p.name.startswith("gravity.direction")))
     down = " ".join(f"{value:.4f}" for value in diagnostics.gravity_target.tolist())
-    where = "on the board" if diagnostics.scene is None else "in the map"
-    yield f"    {where:<16} {down} m/s^2" + (f", +- {degrees(tilt):.2g} deg" if tilt else "")
+    where = "gravity on board" if diagnostics.scene is None else "gravity in map"
+    yield f"  {where:<18} {down} m/s^2" + (f", +- {degrees(tilt):.2g} deg" if tilt else "")
     what = "corners" if diagnostics.scene is None else f"sightings of {len(diagnostics.scene.points)} landmarks"
     for name, found in fit.frames_found.items():
         yield f"  {name:<18} {fit.frames_used[name]} of {found} frames, {fit.corners_used[name]} {what}"

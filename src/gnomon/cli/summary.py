@@ -35,20 +35,25 @@ VERDICTS = {
 def summary_lines(calibration: Calibration) -> Iterator[str]:
     """Yield lines on what the calibration rests on and how well it predicts what it has not seen."""
     found = calibration.assessment
-    gravity = calibration.gravity
     yield f"  {counted_things(calibration):<18} {found.intervals_used} used of {found.intervals_found}"
     if found.model != "none" and found.rotations_found:
         yield f"  rotations          {found.rotations_used} used of {found.rotations_found}"
     errors = [f"{sensor} {engineering_text(rms, unit)}" for sensor, _, rms, unit in held_out_errors(calibration)]
     if errors:
         yield from _paragraph(f"{', '.join(errors)} (rms)", "  hold-out error     ", " " * 21)
-    if rests_on_gravity(calibration):
-        sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
-        yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
+    yield from gravity_lines(calibration)
     if found.model == "none":  # of an accelerometer alone there is but one
         yield f"  body frame         {calibration.frame}"
     else:
         yield f"  model, body frame  {found.model}, {calibration.frame}"
+
+
+def gravity_lines(calibration: Calibration) -> Iterator[str]:
+    """Yield what was taken for gravity, unless a finding tells it."""
+    gravity, findings = calibration.gravity, calibration.assessment.findings
+    if rests_on_gravity(calibration) and not any(one.code == "gravity" and one.severity != "good" for one in findings):
+        sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
+        yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
 
 
 def trust_lines(note: UncertaintySummary) -> Iterator[str]:
@@ -79,15 +84,22 @@ def held_lines(calibration: Calibration) -> Iterator[str]:
 
 
 def finding_lines(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
-    """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted."""
+    """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted.
+
+    Assumptions were said while reading; what follows from another finding is named with it.
+    """
     marks = {"problem": "[!!]", "warning": "[! ]", "info": "[i ]"} | ({"good": "[ok]"} if good else {})
+    findings = list(findings)
     for finding in findings:
-        if finding.severity in marks and finding.code != "assumed":  # assumptions were said while reading
-            yield from _paragraph(finding.message, f"  {marks[finding.severity]} ", " " * 7)
-            if finding.consequence:
-                yield from _paragraph(finding.consequence, " " * 7, " " * 7)
-            if finding.cure:
-                yield from _paragraph(finding.cure, " " * 7 + "-> ", " " * 10)
+        if finding.severity not in marks or finding.code == "assumed" or finding.follows_from:
+            continue
+        yield from _paragraph(finding.message, f"  {marks[finding.severity]} ", " " * 7)
+        if finding.consequence:
+            yield from _paragraph(finding.consequence, " " * 7, " " * 7)
+        if following := dict.fromkeys(one.code for one in findings if one.follows_from == finding.code):
+            yield from _paragraph(f"From it follow: {', '.join(following)}.", " " * 7, " " * 7)
+        if finding.cure:
+            yield from _paragraph(finding.cure, " " * 7 + "-> ", " " * 10)
 
 
 def _paragraph(text: str, first: str, rest: str) -> list[str]:
@@ -98,8 +110,8 @@ def parameter_lines(calibration: Calibration) -> Iterator[str]:
     """Yield every parameter with its standard deviation, a row for each sensor axis."""
     for path, value in calibration_parameters(calibration.imus):
         sigma = calibration.sigma(path)
-        if value.ndim == 0 or ".T_imu_body." in path:
-            continue  # poses and clocks stand with those of the cameras
+        if value.ndim == 0 or ".T_imu_body." in path or (calibration.cameras and path.endswith(".lever_arms_m")):
+            continue  # poses, clocks and places stand with those of the cameras
         if path.endswith(".g_sensitivity") and calibration.assessment.model not in {"g-sensitivity", "full"}:
             continue
         if calibration.cameras and path.endswith("sensitivity") and not sigma.any():

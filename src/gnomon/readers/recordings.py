@@ -1,6 +1,7 @@
 """What was stated by the user and what was read so far, while a recording of several files is put together."""
 
 import hashlib
+from collections import defaultdict
 from dataclasses import field, replace
 from os import PathLike
 from pathlib import Path
@@ -322,27 +323,29 @@ def samples_in_units(streams: Streams, stated: Units, recogniser: Recogniser, no
     """Make samples with units: stated, else named in the file, else recognised."""
     accel, gyro, mag = streams
     accelerometer, gyroscope, magnetometer = _nothing("m/s^2"), _nothing("rad/s"), None
+    known = defaultdict[str, list[str]](list)
     if accel is not None:
         unit, reason = _known(stated.accelerometer, accel[1].unit)
         if unit is None:
             found = recogniser.accelerometer(accel[1].values)
             unit, reason = found.unit, found.reason
-        notes.append(f"accelerometer in {unit} ({reason}).")
+        known[reason].append(f"accelerometer in {unit}")
         accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
     if gyro is not None:
         unit, reason = _known(stated.gyroscope, gyro[1].unit)
         if unit is None:
             found = recogniser.gyroscope(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
             unit, reason = found.unit, found.reason
-        notes.append(f"gyroscope in {unit} ({reason}).")
+        known[reason].append(f"gyroscope in {unit}")
         gyroscope = TriadSamples(t_ns=gyro[0], values=gyro[1].values, unit=unit)
     if mag is not None:
         unit, reason = _known(stated.magnetometer, mag[1].unit)
         if unit is None:
             found = magnetometer_unit(mag[1].values)
             unit, reason = found.unit, found.reason
-        notes.append(f"magnetometer in {unit} ({reason}).")
+        known[reason].append(f"magnetometer in {unit}")
         magnetometer = TriadSamples(t_ns=mag[0], values=mag[1].values, unit=unit)
+    notes += [f"{', '.join(triads)} ({reason})." for reason, triads in known.items()]
     missing = [name for name, there in (("accelerometer", accel), ("gyroscope", gyro)) if there is None]
     if missing:
         notes.append(f"no {' and no '.join(missing)} in this recording.")

@@ -341,7 +341,7 @@ def _truth_table(calibration: Calibration) -> ParameterRows:
 def _magnitude_rows(calibration: Calibration) -> Iterator[Row]:
     assessment = calibration.assessment
     for _, compared, rms, unit in held_out_errors(calibration):
-        yield Row(name=f"held-out {compared}, rms", value=_known(rms), unit=unit)
+        yield Row(name=f"hold-out {compared}, rms", value=_known(rms), unit=unit)
     used, found = assessment.intervals_used, assessment.intervals_found
     yield Row(name=f"{counted_things(calibration)} used", value=f"{used} of {found}", unit="")
     if assessment.rotations_found:

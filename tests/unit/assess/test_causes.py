@@ -34,6 +34,12 @@ def test_a_cause_that_is_only_information_explains_nothing():
     ]
 
 
+def test_what_is_good_to_know_follows_from_a_loud_cause_alone():
+    seen = finding("turn-unseen", "info")
+    assert merge_by_cause([seen, finding("parameter-changed")])[1].follows_from == "parameter-changed"
+    assert seen in merge_by_cause([seen, finding("parameter-changed", "info")])
+
+
 def test_the_more_fundamental_cause_explains_the_other():
     assert told(finding("frames-late"), finding("frames-repeated"), finding("reprojection", "problem"))[0] == (
         "frames-repeated",

@@ -249,7 +249,7 @@ def test_several_cameras_and_imus(folder) -> None:
     assert list(recording.cameras) == ["cam0", "cam1"]
     assert recording.cameras["cam1"].time_shift_cam_imu_s == 0.01
     assert [imu.noise is None for imu in recording.imus.values()] == [False, True]
-    assert "imu1: accelerometer in m/s^2 (as the file says)." in recording.assumptions
+    assert "imu1: accelerometer in m/s^2, gyroscope in rad/s (as the file says)." in recording.assumptions
 
 
 def test_without_imu_file(folder) -> None:

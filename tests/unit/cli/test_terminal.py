@@ -1,12 +1,15 @@
 """What is told of progress, and where: lines, a log, nothing."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 
 from gnomon.cli import main
+from gnomon.cli.summary import finding_lines
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OutputError
+from gnomon.findings import Finding
 from gnomon.progress import Step
 
 
@@ -96,3 +99,10 @@ def test_a_log_never_takes_the_place_of_another_file(tmp_path):
 def test_a_part_keeps_its_count():
     step = Step("reading", 3, 9).within("recording 1 of 2")
     assert (step.done, step.of, str(step)) == (3, 9, "recording 1 of 2: reading: 3 of 9")
+
+
+def test_what_follows_from_a_finding_is_named_with_it() -> None:
+    cause = Finding(severity="warning", code="cause", message="A cause.", consequence="So.", cure="Do.")
+    effects = [replace(cause, code=code, severity="info", message="Told?", follows_from="cause") for code in "ab"]
+    lines = list(finding_lines([cause, *effects]))
+    assert [line.strip() for line in lines] == ["[! ] A cause.", "So.", "From it follow: a, b.", "-> Do."]

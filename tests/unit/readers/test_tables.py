@@ -166,7 +166,7 @@ def test_summary(random_calibration):
     assert rows["verdict"] == "pass"
     assert rows["static intervals used"] == "38 of 40"
     assert rows["gravity"] == "9.8100 ± 0.0030"
-    assert "held-out rotations, rms" not in rows
+    assert "hold-out rotations, rms" not in rows
 
 
 def test_the_truth_of_a_simulation_is_shown_without_sigmas_and_verdict():

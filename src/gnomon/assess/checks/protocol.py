@@ -254,9 +254,8 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
         return [make_finding("gravity-magnitude/counts", message=message)]
     found = float(np.median(np.linalg.norm(means, axis=1))) * factor
     error = abs(found / STANDARD_GRAVITY_M_S2 - 1)
-    message = (
-        f"{label}: the accelerometer reads {found:.3f} m/s^2 at rest (in {accelerometer.unit}), expected about 9.81."
-        + looks_like(found / factor, accelerometer.unit)
+    message = f"{label}: the accelerometer reads {found:.3f} m/s^2 at rest, expected about 9.81." + looks_like(
+        found / factor, accelerometer.unit
     )
     if error <= _PLAUSIBLE:
         return [make_finding("gravity-magnitude/good", message=message)]

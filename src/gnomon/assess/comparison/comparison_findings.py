@@ -472,7 +472,7 @@ def _biases(comparison: Comparison) -> Iterator[Finding]:
         if block.kind != "bias" or len(block.names) < 2:
             continue
         span = np.ptp(block.values, axis=0)
-        if not span.any():
+        if not span.any() or block.z_rms <= block.limit:
             continue
         yield make_finding(
             "bias-instability/compared", block=block_words(block.path), size=size_text(block, span, np.full(3, np.nan))

@@ -267,6 +267,8 @@ def _rotation_table(evidence: ImuFitSummary) -> RotationTable:
         why or ("" if ok else _why_not_used(beside))
         for why, ok, beside in zip(problem.unlinked, fit.rotation_used, neighbours, strict=True)
     ]
+    for place in (place for changes in fit.changes for place in changes.steps if place == int(place)):
+        reason[int(place) - 1] = ACROSS_STEP
     with np.errstate(divide="ignore"):
         # the length of an error has two components
         sigma = np.where(fit.whitening.rotation > 0, np.sqrt(2) / fit.whitening.rotation, np.nan)
@@ -323,6 +325,9 @@ def _bias_segments(evidence: ImuFitSummary) -> tuple[BiasSegments, ...]:
             )
         )
     return tuple(found)
+
+
+ACROSS_STEP = "a bias stepped during it"
 
 
 def _why_not_used(neighbours_used: bool) -> str:

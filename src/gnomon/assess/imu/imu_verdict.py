@@ -27,7 +27,7 @@ from ..verdict import (
 )
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
-from .imu_tables import ImuFitSummary, interval_numbers
+from .imu_tables import ACROSS_STEP, ImuFitSummary, interval_numbers
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
 _REST_S = 2.0
@@ -340,13 +340,13 @@ def left_out_intervals_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     findings: list[Finding] = []
     intervals, rotations = diagnostics.intervals, diagnostics.rotations
     findings += rests_left_out(intervals.start_s, intervals.stop_s, intervals.reason)
-    if len(rotations.used) and not rotations.used.all():
-        out = int((~rotations.used).sum())
-        reasons = sorted({why for why in rotations.reason if why})
+    out, reasons = int(np.sum(~rotations.used)), sorted({why for why in rotations.reason if why})
+    many = out > 0.1 * len(rotations.used)
+    if out and (many or reasons != [ACROSS_STEP]):  # of the step itself another finding tells
         findings.append(
             make_finding(
                 "rotations-left-out",
-                severity="warning" if out > 0.1 * len(rotations.used) else "info",
+                severity="warning" if many else "info",
                 out=out,
                 rotations=len(rotations.used),
                 reasons="; ".join(reasons[:3]),

@@ -245,7 +245,7 @@ def _print_check(
                 f"in {samples.unit}{topic}"
             )
     for severity, style in {"problem": "red", "warning": "yellow", "info": "", "good": "green"}.items():
-        if chosen := [finding for finding in findings if finding.severity == severity]:
+        if chosen := [one for one in findings if one.severity == severity and (severity, one.code) != ("good", "rate")]:
             terminal.print("\n" + "\n".join(finding_lines(chosen, good=True)), style)
     if following and code == USABLE:
         terminal.print("")

@@ -11,7 +11,7 @@ from ..command import Command, output_option
 from ..inputs import sources_of
 from ..output_folder import default_folder, owner_of, result_folder
 from ..parsing.arguments import Argument
-from ..results import UNUSABLE, USABLE, print_findings, result_files
+from ..results import UNUSABLE, USABLE, print_files, print_findings, result_files
 from ..terminal import Terminal, json_value
 
 if TYPE_CHECKING:
@@ -75,9 +75,7 @@ class Compare(Command):
         _print(found, terminal)
         files = result_files(folder, (PAGE, TABLE)) if self.report else {}
         if files:
-            terminal.print("")
-        for path in files.values():
-            terminal.print(f"written: {path}")
+            print_files(folder, terminal, (PAGE, TABLE))
         code = UNUSABLE if found.verdict == "fail" else USABLE
         terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code

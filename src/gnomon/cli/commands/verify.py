@@ -10,7 +10,7 @@ from ..command import CamFile, Command, FileOption, ForUse, ImuFiles, Report, Ta
 from ..inputs import files_beside, read_use_option, sources_of
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument
-from ..results import UNUSABLE, USABLE, print_assumptions, print_findings, result_files
+from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
 from ..terminal import Terminal, json_value
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ class Verify(Command, TableOptions):
             _write(found, folder, terminal, f"{self.calibration}, verified by {self.recording.name}, for {found.use}")
         _print(found, terminal)
         files = result_files(folder, (PAGE, DATA)) if self.report else {}
-        for path in files.values():
-            terminal.print(f"\nwritten: {path}")
+        if files:
+            print_files(folder, terminal, (PAGE, DATA))
         code = {"holds": USABLE, "moved": UNUSABLE, "cannot tell": UNTOLD}[found.state]
         terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code

@@ -93,8 +93,9 @@ def _values(parser: LineParser, entries: Sequence[Entry], words: Sequence[str]) 
         names = [name for entry in entries if not entry.argument.positional for name in entry.names]
         bare = {name.lstrip("-"): name for name in names}
         near = get_close_matches(others[0].partition("=")[0].lstrip("-"), bare, 1)
-        meant = f"Did you mean {bare[near[0]]}?" if near else f"{parser.prog} --help shows the options."
-        what = "there is no option" if others[0].startswith("-") else "this is one too many:"
+        option = others[0].startswith("-")
+        meant = f"Did you mean {bare[near[0]]}?" if near and option else f"{parser.prog} --help shows the options."
+        what = "there is no option" if option else "this is one too many:"
         raise OptionError(f"{what} {others[0]}. {meant}")
     for entry in entries:
         given = getattr(found, _dest(entry), None)
