@@ -134,3 +134,31 @@ def test_a_small_error_of_the_lens_is_estimated_or_counted():
         assert found.calibration.assessment.trust.added == added
         sigma = found.calibration.sigma("cam0.T_cam_imu.translation")
         assert (np.abs(found.calibration.cameras["cam0"].T_cam_imu[:3, 3] - truth) < 3.5 * sigma).all()
+
+
+def behind_a_filter(simulation, triad, cutoff_hz):
+    """Return the recording with a triad behind a low-pass filter of first order."""
+    imu = simulation.recording.imus["imu0"]
+    samples = getattr(imu, triad)
+    values, share = samples.values.copy(), 1 - np.exp(-2 * np.pi * cutoff_hz / samples.rate_hz)
+    for k in range(1, len(values)):
+        values[k] = values[k - 1] + share * (values[k] - values[k - 1])
+    return replace(
+        simulation.recording, imus={"imu0": replace(imu, **{triad: replace(samples, values=values)})}, sources=()
+    )
+
+
+@pytest.mark.parametrize("triad", ["gyroscope", "accelerometer"])
+def test_what_a_filter_takes_off_fast_motion_is_told_and_in_the_sigmas(triad):
+    """12 Hz are a time constant of 13 ms, and at 5 Hz 8.7 % to the second order (beside the delay)."""
+    simulation, healthy = case(0.0, 1)
+    assert findings_of(healthy, "triad-filtered") == []
+    result = calibrate_camera_imu(behind_a_filter(simulation, triad, 12.0), simulation.target, OPTIONS)
+    (found,) = findings_of(result, "triad-filtered")
+    assert (found.severity, result.calibration.verdict) == ("warning", "warn")
+    assert found.message.startswith(f"The {triad} of imu0 shows fast motion too small, at 5 Hz by ")
+    share, sigma = (float(found.message.partition("by ")[2].split(" ")[k]) for k in (0, 2))
+    assert abs(share - 8.7) < 4 * sigma < 5
+    z = errors(result, simulation)
+    kept = np.array(["_shift" not in name and "bias" not in name for name in z.names])
+    assert np.abs(z.z[kept]).max() < 4

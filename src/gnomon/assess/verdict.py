@@ -25,7 +25,7 @@ _BENT = frozenset(
     {
         *("not-converged", "target-scale", "intrinsics-doubtful", "reprojection", "frames-left-out", "noise-differs"),
         *("model-too-simple", "model-incomplete", "parts-disagree", "rotation-disagrees", "imprecise", "clock-drift"),
-        *("corners-outlying", "gyroscope-drift", "walk-differs", "need"),
+        *("corners-outlying", "gyroscope-drift", "walk-differs", "need", "triad-filtered"),
     }
 )
 """What a camera-IMU estimation says when something does not fit, whatever it is."""
@@ -77,6 +77,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "clock-jump": _BENT | {"frames-late", "triads-apart", "board-moved", "time-shift-varies"},
     "board-moved": _BENT | {"frames-late", "triads-apart"},
     "frames-late": _BENT | {"triads-apart", "time-shift-varies"},
+    "triad-filtered": frozenset({"noise-differs", "model-incomplete", "parts-disagree", "imprecise", "need"}),
     "vibration": frozenset({"noise-differs", "model-incomplete", "parts-disagree", "rests-unsteady"}),
     "rotation-one-axis": frozenset({"not-converged", "imprecise", "parts-disagree", "need"}),
     "target-scale": frozenset({"model-incomplete", "parts-disagree"}),

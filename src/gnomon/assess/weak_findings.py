@@ -6,6 +6,7 @@ What was known beforehand, and whether the recording agrees with it.
 """
 
 from collections.abc import Mapping, Sequence
+from math import pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,14 +26,17 @@ if TYPE_CHECKING:
     from ..estimate.camera_imu.layout import BorderLayout
     from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
     from ..estimate.camera_imu.result.publish import PublishedRig
-    from ..estimate.camera_imu.result.uncertainty import Uncertainty
+    from ..estimate.camera_imu.result.uncertainty import FilteredTriad, Uncertainty
     from ..models.camera import Camera
 
 
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
 
-_DELAYED, _CERTAIN = "triads-apart", 3.0
+_DELAYED, _CERTAIN, _SURE = "triads-apart", 3.0, 4.0
+
+_FAST_RAD_S = 2 * pi * 5
+"""Angular frequency of a fast motion of a hand, at which a filter is described."""
 
 
 def added_findings(
@@ -85,6 +89,24 @@ def _delay(name: str, shift_s: float, sigma_s: float) -> Finding:
     return make_finding(
         "triads-apart/estimated", name=name, shift_s=abs(shift_s), sigma_s=sigma_s, later=later, earlier=earlier
     )
+
+
+def filters_found(filters: "Sequence[FilteredTriad]") -> list[Finding]:
+    """Say which triads show fast motion smaller, or larger, than it is; a warning where that moves a parameter."""
+    return [
+        make_finding(
+            "triad-filtered",
+            severity="warning" if one.moved > 1 and abs(one.q) > _SURE * one.sigma else "info",
+            name=f"imu{one.imu}",
+            triad=("gyroscope", "accelerometer")[one.kind],
+            share=abs(one.q) * _FAST_RAD_S**2,
+            sigma=one.sigma * _FAST_RAD_S**2,
+            case="low-pass" if one.q > 0 else "",
+            cutoff_hz=1 / (2 * pi * sqrt(2 * abs(one.q))),
+            moved=one.moved,
+        )
+        for one in filters
+    ]
 
 
 def steps_left_out(failed: Mapping[str, str]) -> list[Finding]:

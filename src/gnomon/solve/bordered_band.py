@@ -241,12 +241,36 @@ class Factor:
 
     def quadratics(self, right: Floats, free: NDArray[np.intp], schur_inverse: Floats) -> Floats:
         """Return R' N^-1 R (k, k) of right-hand sides (n, d, k) of the control points; see `quadratic`."""
+        inner, _, sides = self.further_sides(right, np.zeros((self.narrow, right.shape[2])))
+        return inner + sides[free].T @ schur_inverse @ sides[free]
+
+    def further_sides(
+        self, right: Floats, border: Floats, sides: NDArray[np.intp] | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Eliminate right-hand sides that the equations do not have.
+
+        Parameters
+        ----------
+        right, border : (n, d, k) of the control points, (p, k) of the border
+        sides : (q,) right-hand sides of the equations, none where not given
+
+        Returns
+        -------
+        inner, with_sides : (k, k), (q, k) r_a' (band alone)^-1 r_b with each other, and with those of the equations
+        schur_sides : (p + w, k) of the Schur complement
+        """
         forward = self._forward(right)
-        sides = np.tensordot(self.eliminated[:, self._border], forward, axes=((0, 2), (0, 2)))
+
+        def product(rows: slice | NDArray[np.intp]) -> Floats:
+            return np.tensordot(self.eliminated[:, rows], forward, axes=((0, 2), (0, 2)))
+
+        schur_sides = border - product(self._border)
         if self.wide is not None:
             wide = sum(rows @ forward[k].T for k, rows in _wide_rows(self.wide, self))
-            sides = np.concatenate([sides, np.asarray(wide)])
-        return np.tensordot(forward, forward, axes=((0, 2), (0, 2))) + sides[free].T @ schur_inverse @ sides[free]
+            schur_sides = np.concatenate([schur_sides, -np.asarray(wide)])
+        inner = np.tensordot(forward, forward, axes=((0, 2), (0, 2)))
+        own = np.zeros(0, np.intp) if sides is None else sides
+        return inner, product(self.lower.shape[1] + self.narrow + own), schur_sides
 
     def inner(self, sides: NDArray[np.intp]) -> Floats:
         """Return r_a' (band alone)^-1 r_b of all pairs of some right-hand sides."""

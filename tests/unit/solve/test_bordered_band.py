@@ -167,6 +167,14 @@ def test_right_hand_sides_that_come_later():
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
+def test_right_hand_sides_that_come_later_are_as_those_of_the_equations():
+    system, _, right = equations(controls=11, order=4, groups=(3, 2), parameters=3)
+    factor, sides = system.factorised(), np.arange(right.shape[1])
+    found = factor.further_sides(right[:55].reshape(11, 5, -1), right[55:], sides)
+    for matrix, expected in zip(found, (factor.inner(sides), factor.inner(sides), factor.schur_sides), strict=True):
+        np.testing.assert_allclose(matrix, expected, rtol=1e-9, atol=1e-12)
+
+
 def test_badly_scaled_equations():
     # Units of radians, metres and seconds differ by many powers of ten.
     system, dense, right = equations(controls=20, order=5, groups=(3, 3), parameters=4, sides=1)

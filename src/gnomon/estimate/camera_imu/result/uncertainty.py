@@ -77,6 +77,24 @@ class TimeClusters:
 
 
 @value_class
+class FilteredTriad:
+    """A triad that shows fast motion smaller, or larger, than it is.
+
+    Attributes
+    ----------
+    imu, kind : number of the IMU; 0 for its gyroscope, 1 for its accelerometer
+    q, sigma : of x + q x'' [s^2]
+    moved : largest error by it of a parameter, in sigmas
+    """
+
+    imu: int
+    kind: int
+    q: float
+    sigma: float
+    moved: float
+
+
+@value_class
 class Uncertainty:
     """Covariance of what is published.
 
@@ -88,6 +106,7 @@ class Uncertainty:
     bias_mean : (m, 6) means of the biases over the trajectory, gyroscope [rad/s] and accelerometer [m/s^2]
     held : by block name
     by_time : clusters of time from which the covariance comes; None for independent errors
+    filters : triads that are proved to be filtered
     """
 
     names: tuple[str, ...]
@@ -96,6 +115,7 @@ class Uncertainty:
     bias_mean: Floats
     held: dict[str, FixedParameterEffect]
     by_time: "TimeClusters | None" = None
+    filters: tuple[FilteredTriad, ...] = ()
 
 
 def solution_uncertainty(

@@ -1,0 +1,108 @@
+"""Whether a triad shows fast motion smaller than it is, as behind a low-pass filter.
+
+A filter of first order with the time constant tau does to a motion x, but for a delay, x + q x'' with q = tau^2 / 2, to
+the second order of tau times the frequency of the motion. The delay is in the time shifts and in that of the
+accelerometer; q is held at zero, and tested by the step that it would take if it were free (a score test, Rao 1948).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ....recording import Floats
+from ..batch import error_terms
+from ..solution import Solution
+from ..terms.assembly import TRIAD, taken_together
+from ..terms.imu_prediction import predicted_readings
+from ..terms.inertial_data import InertialData
+from ..trajectory import BIAS, POSE
+from .cluster_sums import bias_sides
+from .uncertainty import FilteredTriad, Uncertainty
+
+_APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
+_ASKED = 3.0  # sigmas
+_SHAPES = (("S_g", "M_g", "q_bg"), ("S_a", "M_a"))
+
+
+def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
+    """Return the uncertainty with that by filters which the readings prove (Schmidt).
+
+    Only triads whose scales and axes are estimated are looked at: errors of these look like x'', too.
+    """
+    step, free, means = solution.step, solution.layout.free_index, bias_sides(solution)
+    ratios = [_ratio(found, imu, kind) for imu in range(len(solution.noise.imus)) for kind in (0, 1)]
+    if not any(ratios):
+        return found
+    right, border, own, pull = _products(solution)
+    inner, by_means, sides = step.factor.further_sides(right, border, means)
+    moves = step.covariance @ sides[free]
+    information = np.diag(own) - inner - sides[free].T @ moves
+    told = np.flatnonzero((np.diag(information) > 0) & (np.array(ratios) > 0))
+    covariance = np.linalg.inv(information[np.ix_(told, told)])
+    moves = np.concatenate([moves, by_means + step.factor.schur_sides[free][:, means].T @ moves])[:, told]
+    filters: list[FilteredTriad] = []
+    sigmas, added = np.sqrt(np.diag(found.covariance)), np.zeros_like(found.covariance)
+    for k, q, variance, along in zip(told.tolist(), covariance @ pull[told], np.diag(covariance), moves.T, strict=True):
+        sigma = float(np.sqrt(variance)) * ratios[k]
+        if abs(q) > _ASKED * sigma:
+            moved = float(np.max(np.abs(q * along) / sigmas))
+            filters.append(FilteredTriad(imu=k // 2, kind=k % 2, q=float(q), sigma=sigma, moved=moved))
+            added += np.outer(along, along) * q**2
+    return replace(found, covariance=found.covariance + added, ordinary=found.ordinary + added, filters=tuple(filters))
+
+
+def _ratio(found: Uncertainty, imu: int, kind: int) -> float:
+    """Return how much larger sigmas of a triad's own parameters are than for independent errors; 0 of held ones."""
+    own = tuple(f"imu{imu}.{shape}" for shape in _SHAPES[kind])
+    at = [k for k, name in enumerate(found.names) if name.partition("[")[0] in own]
+    wider, independent = (np.diag(matrix)[at] for matrix in (found.covariance, found.ordinary))
+    return float(np.sqrt(np.max(wider / independent, initial=0.0)))
+
+
+def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the products of x'' of each triad, as a right-hand side, with the rows of its readings.
+
+    Returns
+    -------
+    right : (n, d, 2 m) columns of the control points, of gyroscope and accelerometer of each IMU
+    border : (p, 2 m) columns of the border, but for the corners of a board
+    own, pull : (2 m,) x'' itself, and minus the residuals
+    """
+    state, grid, count = solution.state, solution.state.trajectory.grid, 2 * len(solution.noise.imus)
+    right = np.zeros((grid.controls, solution.step.factor.size, count))
+    border, own, pull = np.zeros((solution.layout.dense, count)), np.zeros(count), np.zeros(count)
+    measured = replace(solution.measurements, visual=(), used=())
+    for term in error_terms(measured, state, solution.layout, solution.noise, probing=False)[0]:
+        columns, imu, bends = term.columns, term.data.imu, _second_differences(term.data, solution)
+        biases = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
+        for part in taken_together(term):
+            rows, first = term.rows(part), term.first[part]
+            begins = np.flatnonzero(np.diff(first, prepend=-1))
+            spans = first[begins]
+            for number, (kind, bent) in enumerate(bends):
+                of_triad, k = rows[:, TRIAD * number : TRIAD * (number + 1)], 2 * imu + kind
+                sums = np.add.reduceat(np.einsum("nr,nrw->nw", bent[part], of_triad), begins)
+                for a in range(grid.order):
+                    right[spans + a, :POSE, k] += sums[:, POSE * a : POSE * (a + 1)]
+                for knot in (0, 1):
+                    right[spans + grid.bias_offset + knot, biases, k] += sums[:, columns.bias(knot)]
+                for to, at in columns.pieces:
+                    border[to, k] += sums[:, at].sum(axis=0)
+                pull[k] += sums[:, columns.side].sum()
+                own[k] += np.vdot(bent[part], bent[part])
+    return right, border, own, pull
+
+
+def _second_differences(data: InertialData, solution: Solution) -> list[tuple[int, Floats]]:
+    """Return x'' of what the triads of some readings should have read, (n, 3), in the noise of a reading."""
+    state, noise = solution.state, solution.noise.imus[data.imu]
+    before, at, after = (
+        predicted_readings(state.trajectory, state.parameters, replace(data, t_s=data.t_s + shift_s))
+        for shift_s in (-_APART_S, 0.0, _APART_S)
+    )
+    triads = ((data.gyroscope, noise.gyroscope), (data.accelerometer, noise.accelerometer))
+    return [
+        (kind, np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * (triad.used / (sigma * _APART_S**2))[:, None])
+        for kind, (triad, sigma) in enumerate(triads)
+        if triad is not None
+    ]
