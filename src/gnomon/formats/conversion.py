@@ -12,6 +12,7 @@ from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
 from .shared.entries import ignored_values
 from .shared.losses import Context, Export, Loss, StatedImu, loss_sentences, origin_remarks, remark_losses
+from .shared.sensor_losses import at_middle_rows
 from .shared.si_units import with_full_scale
 
 FORMATS = {
@@ -38,6 +39,9 @@ _WITHOUT_CAMERAS = ("imu_tk", "px4", "ardupilot", "imucal", "c-header")
 
 _LENSES_ALONE = ("kalibr", "ros2", "json", "csv")
 """Formats that can hold cameras without an IMU."""
+
+_OF_ONE_INSTANT = ("openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "ros2")
+"""Formats without a line delay: all rows of an image have one time shift."""
 
 Stated = str | PathLike[str] | Mapping[str, StatedImu] | None
 
@@ -127,6 +131,8 @@ def export_texts(
         calibration, refits = with_known_lenses(calibration, to)
         losses += refits
     losses += tuple(ignored_values(calibration, to))
+    if to in _OF_ONE_INSTANT:
+        calibration = at_middle_rows(calibration)
     export: Export = module.export(
         calibration, Context(stated=stated, remarks=(*origin_remarks(calibration), *loss_sentences(losses)))
     )

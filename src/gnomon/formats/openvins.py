@@ -187,8 +187,8 @@ def camera_chain_text(calibration: Calibration, remarks: str = "") -> str:
 
 
 def _known(name: str, calibrated: CameraCalibration) -> CameraCalibration:
-    """Return a camera in OpenVINS' terms: without distortion it is radtan with zeros."""
-    camera = calibrated.camera
+    """Return a camera in OpenVINS' terms: without distortion it is radtan with zeros; no row is later than another."""
+    camera = replace(calibrated.camera, line_delay_s=0.0)
     if camera.projection != "pinhole" or camera.distortion == "fov":
         raise unknown_lens(name, camera, "OpenVINS knows pinhole-radtan and pinhole-equidistant only")
     if camera.distortion != "none":

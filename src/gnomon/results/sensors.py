@@ -475,6 +475,11 @@ class CameraCalibration:
         """Name of the pose: "T_cam_imu", or "T_cam_cam0" without an IMU."""
         return "T_cam_imu" if self.body == "imu0" else "T_cam_cam0"
 
+    @property
+    def middle_row_delay_s(self) -> float:
+        """By how much the middle row of an image is later than row 0, to which time shifts refer [s]."""
+        return 0.5 * (self.camera.resolution[1] - 1) * self.camera.line_delay_s
+
 
 def rotate_imu(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
     """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""

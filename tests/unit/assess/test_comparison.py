@@ -73,11 +73,11 @@ LOST = {
 
 @pytest.mark.parametrize("form", LOST)
 def test_written_in_another_format_and_compared(camera_calibration, tmp_path, form):
-    """Frames, forms, signs and the direction of T: nothing differs but what the format cannot hold."""
+    """Frames, forms, signs, the direction of T and the row of a shift: only what the format cannot hold differs."""
     calibration = camera_calibration(5, cameras=2)
     lenses = [
         Camera(projection="pinhole", intrinsics=[460, 459, 320, 240], distortion="radtan",
-               distortion_coeffs=[-0.28, 0.07, 2e-4, 1e-4], resolution=(640, 480)),
+               distortion_coeffs=[-0.28, 0.07, 2e-4, 1e-4], resolution=(640, 480), line_delay_s=3e-5),
         Camera(projection="pinhole", intrinsics=[300, 301, 330, 250], distortion="equidistant",
                distortion_coeffs=[0.01, -0.02, 0.005, -0.001], resolution=(640, 480)),
     ]  # fmt: skip

@@ -283,6 +283,10 @@ def test_what_else_is_said(rig, tmp_path):
         words = said(export_texts(calibration_of(imus, cameras), to).losses)
         assert "line_delay of cam0 (30 us a row, 14.4 ms an image): " in words
         assert "imu1: " in words
+        gnomon.convert(calibration_of(imus, cameras), to, tmp_path / f"slow-{to}")
+        read = load_foreign(*(tmp_path / f"slow-{to}").iterdir()).cameras["cam0"]
+        of_the_middle_row = cameras["cam0"].time_shift_cam_imu + 239.5 * 3e-5
+        np.testing.assert_allclose(read.time_shift_cam_imu, of_the_middle_row, atol=1e-9)
         assert "time shifts (the others differ by up to" in words
     assert "rostopic of cam0" in said(export_texts(calibration_of(imus, cameras), "openvins").losses)
     assert "at most 0.5 ns" in said(export_texts(calibration_of(imus, cameras), "basalt").losses)

@@ -283,7 +283,10 @@ def _triad_blocks(name: str, imu: ImuCalibration, triad: str) -> Iterator[tuple[
 
 
 def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
-    """Yield the blocks of a camera, which are those of its scalars."""
+    """Yield the blocks of a camera, which are those of its scalars; its time shift is that of the middle row.
+
+    Row 0 has another shift wherever the line delay is another, and programs that know none state the middle row's.
+    """
     lens = camera.camera
     blocks: list[ComparedQuantity] = []
     if name != camera.body:
@@ -291,7 +294,7 @@ def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
     if camera.body == "imu0":
         delay = np.array([lens.line_delay_s])
         blocks += [
-            _time_shift(name, camera.time_shift_cam_imu),
+            _time_shift(name, camera.time_shift_cam_imu + camera.middle_row_delay_s),
             ComparedQuantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
         ]
     symbols, values = lens.parameter_symbols, lens.parameters
@@ -300,6 +303,8 @@ def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
     start = 0
     for block in blocks:
         rows = np.eye(count)[start : start + len(block.elements)]
+        if block.kind == "time shift":
+            rows[0, start + 1] = 0.5 * (lens.resolution[1] - 1)  # by the line delay, which is next to it
         start += len(block.elements)
         yield _Part(quantity=block, jacobian=rows)
 

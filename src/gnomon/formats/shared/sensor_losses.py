@@ -1,6 +1,7 @@
 """What a format can represent, and what of a calibration it cannot: the losses follow from that."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import Literal
 
@@ -158,6 +159,15 @@ def _camera_losses(calibration: Calibration, holds: Holds) -> Iterator[Loss]:
             yield Loss(what=f"rostopic of {name}", why=f"{holds.program} has no key for it.")
 
 
+def at_middle_rows(calibration: Calibration) -> Calibration:
+    """Return a calibration whose time shifts are those of the middle rows, for programs without a rolling shutter."""
+    cameras = {
+        name: replace(camera, time_shift_cam_imu=camera.time_shift_cam_imu + camera.middle_row_delay_s)
+        for name, camera in calibration.cameras.items()
+    }
+    return replace(calibration, cameras=cameras)
+
+
 def require_cameras(calibration: Calibration, whose: str) -> None:
     """Refuse a calibration of an IMU alone for a format of cameras.
 
@@ -200,13 +210,13 @@ def _no_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
 
 
 def _line_delay_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
-    """Say that no row of an image is later than another."""
+    """Say that no row of an image is later than another, and which row's the time shift is."""
     for name, camera in calibration.cameras.items():
         delay = camera.camera.line_delay_s
         if delay:
             yield Loss(
                 what=f"line_delay of {name}",
-                why=f"{whose} knows no rolling shutter.",
+                why=f"{whose} takes all rows of an image as of one instant; the time shift here is the middle row's.",
                 size=f"{delay * 1e6:.3g} us a row, {abs(delay) * camera.camera.resolution[1] * 1e3:.3g} ms an image",
             )
 
