@@ -394,7 +394,8 @@ def study_kill(first=0, times=50):
             folder = Path(place) / f"rec{k}"
             words = [sys.executable, "-c", program, str(folder), f"replay:{simulated}@{KILL_SPEED}"]
             process = subprocess.Popen(words, stdout=subprocess.PIPE)
-            process.stdout.readline()
+            while not int(process.stdout.readline()):
+                pass  # until there are samples
             time.sleep(rng.uniform(0.1, 1.0) * whole_s / KILL_SPEED)
             process.send_signal(signal.SIGKILL)
             told = [int(line) for line in process.stdout.read().split()]

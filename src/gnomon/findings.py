@@ -44,6 +44,12 @@ class Finding:
     def __str__(self) -> str:
         return " ".join(part for part in (self.message, self.consequence, self.cure) if part)
 
+    @property
+    def label(self) -> str:
+        """The code, to be looked up; of a warning also whether the sigmas leave its error out."""
+        beyond = self.severity == "warning" and self.code in _beyond_sigmas()
+        return f"{self.code}, not in the sigmas" if beyond else self.code
+
 
 CATALOGUE = Path(__file__).with_suffix(".yaml")
 
@@ -80,6 +86,12 @@ def _entries() -> dict[str, str]:
     return {
         part.partition("\n")[0].strip(): f"- code: {re.split('^- ', part, flags=re.MULTILINE)[0]}" for part in parts
     }
+
+
+@cache
+def _beyond_sigmas() -> set[str]:
+    """Return the codes of warnings whose error the sigmas do not hold."""
+    return {key.partition("/")[0] for key, entry in _entries().items() if "\n  in_sigmas: false\n" in entry}
 
 
 @cache

@@ -93,7 +93,8 @@ def finding_lines(findings: Iterable[Finding], *, good: bool = False) -> Iterato
     for finding in findings:
         if finding.severity not in marks or finding.code == "assumed" or finding.follows_from:
             continue
-        yield from _paragraph(finding.message, f"  {marks[finding.severity]} ", " " * 7)
+        found = finding.message if finding.severity == "good" else f"{finding.message} ({finding.label})"
+        yield from _paragraph(found, f"  {marks[finding.severity]} ", " " * 7)
         if finding.consequence:
             yield from _paragraph(finding.consequence, " " * 7, " " * 7)
         if following := dict.fromkeys(one.code for one in findings if one.follows_from == finding.code):

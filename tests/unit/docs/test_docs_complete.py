@@ -19,7 +19,7 @@ from gnomon.calibrate.steps import board_reading
 from gnomon.cli.catalogue import COMMANDS, parse_command
 from gnomon.cli.commands.convert import RecordingForm
 from gnomon.cli.commands.study import PAGE, STUDIES
-from gnomon.findings import read_catalogue
+from gnomon.findings import Finding, read_catalogue
 from gnomon.formats.conversion import FORMATS
 from gnomon.formats.kalibr import camchain
 from gnomon.formats.kalibr import target as kalibr_target
@@ -291,13 +291,16 @@ def test_the_limits_of_odometry_follow_from_the_circuit():
         assert USES["vio"].needs[name] == pytest.approx(derived, rel=0.1), words
 
 
-def test_the_warnings_whose_error_is_not_in_the_sigmas_are_listed():
+def test_the_warnings_whose_error_is_not_in_the_sigmas_are_marked():
     entries = [entry for entry in read_catalogue() if "when" in entry]
     beyond = [entry for entry in entries if not entry.get("in_sigmas", True)]
     assert all("warning" in entry["when"] for entry in beyond)
-    page = text("how-to/trust/what-does-warn-mean.md")
-    listed = re.findall(r"\[`([\w-]+)`\]", page.split("All of them:")[1].split("\n## ")[0])
-    assert listed == [entry["code"].partition("/")[0] for entry in beyond]
+    marked = re.findall(r"\*\*`([\w-]+)`\*\* \([^)]*?\*not in the sigmas\*", text("symptoms.md"))
+    assert set(marked) == {entry["code"].partition("/")[0] for entry in beyond}
+    code = marked[0]
+    assert Finding(severity="warning", code=code, message="").label == f"{code}, not in the sigmas"
+    assert Finding(severity="info", code=code, message="").label == code
+    assert Finding(severity="warning", code="stream-short", message="").label == "stream-short"
     says = re.compile(
         "larger than the (stated )?sigmas|off by more than (their|its) sigmas|sigmas? comes? out too small"
     )
