@@ -129,7 +129,7 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
         shutil.copy(f"oven/turned-{i}.npz", f"{name}.csv")
     shutil.copy("cold-1.csv", "flight.csv")
     run(["imu", "log.csv", "-o", "board-imu", "--no-report"])
-    shown = {"show", "rate", "apply", "convert"}
+    shown = {"check", "show", "rate", "apply", "convert"}
     commands = [words for words in shell_commands(tmp_path / "section.md") if words[0] not in {"camera-imu", "study"}]
     assert {"imu", "turntable", "noise", "magnetometer", *shown} < {words[0] for words in commands}
     for words in commands:
