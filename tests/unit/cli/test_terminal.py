@@ -105,4 +105,4 @@ def test_what_follows_from_a_finding_is_named_with_it() -> None:
     cause = Finding(severity="warning", code="cause", message="A cause.", consequence="So.", cure="Do.")
     effects = [replace(cause, code=code, severity="info", message="Told?", follows_from="cause") for code in "ab"]
     lines = list(finding_lines([cause, *effects]))
-    assert [line.strip() for line in lines] == ["[! ] A cause.", "So.", "From it follow: a, b.", "-> Do."]
+    assert [line.strip() for line in lines] == ["[! ] A cause. (cause)", "So.", "From it follow: a, b.", "-> Do."]
