@@ -144,3 +144,15 @@ def join_names(names: Sequence[str], last: str = "and") -> str:
     'kalibr, openvins or basalt'
     """
     return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def list_first(names: Sequence[str], most: int = 6, between: str = ", ") -> str:
+    """Return the first names, and how many more there are.
+
+    Examples
+    --------
+    >>> list_first(["x", "y", "z"], 2)
+    'x, y and 1 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return between.join(names[:most]) + more

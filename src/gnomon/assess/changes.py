@@ -17,7 +17,7 @@ from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIE
 from ..recording import Floats
 from ..results.calibration import Calibration
 from ..results.trust import ParameterChange, QuantityChange, Trust
-from .verdict import grade_value, merge_by_cause, verdict_of
+from .verdict import grade_value, with_verdict
 
 _CLOCKS = (".time_shift_cam_imu", ".time_shift_imu")
 
@@ -101,17 +101,9 @@ def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
     if trust is None or not trust.changes:
         return calibration
     changes = tuple(change for one in trust.changes for change in quantity_changes(one, calibration))
-    assessment = calibration.assessment
-    findings = merge_by_cause([*without_changes(assessment.findings, changes), *change_findings(changes, None)])
-    return replace(
-        calibration,
-        assessment=replace(
-            assessment,
-            findings=findings,
-            verdict=verdict_of(findings),
-            trust=replace(assessment.trust, changes=changes),
-        ),
-    )
+    assessment = replace(calibration.assessment, trust=replace(calibration.assessment.trust, changes=changes))
+    findings = [*without_changes(assessment.findings, changes), *change_findings(changes, None)]
+    return replace(calibration, assessment=with_verdict(assessment, findings))
 
 
 def without_changes(findings: Sequence[Finding], changes: Sequence[QuantityChange]) -> list[Finding]:

@@ -23,7 +23,7 @@ from ..results.trust import Need
 from .changes import change_findings, without_changes
 from .directions import Kind, Part, duration_text, estimated_parts, motion_advice, one_direction, relative_covariance
 from .observability import LIMITS
-from .verdict import grade_value, merge_by_cause, verdict_of
+from .verdict import grade_value, merge_by_cause, verdict_of, with_verdict
 from .weak_findings import PLACES_AND_CLOCKS
 
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
@@ -423,21 +423,14 @@ def _general(calibration: Calibration) -> Assessment:
         if finding.code not in _USE
     ]
     kept += change_findings(assessment.trust.changes, None)
-    findings = merge_by_cause([*kept, *general_precision(calibration)])
-    return replace(
-        assessment,
-        verdict=verdict_of(findings),
-        findings=findings,
-        trust=replace(assessment.trust, use="", needs=()),
-    )
+    assessment = replace(assessment, trust=replace(assessment.trust, use="", needs=()))
+    return with_verdict(assessment, [*kept, *general_precision(calibration)])
 
 
 def with_precision(calibration: Calibration) -> Calibration:
     """Return a calibration whose verdict counts what is known worse than general use asks."""
-    findings = merge_by_cause([*calibration.assessment.findings, *general_precision(calibration)])
-    return replace(
-        calibration, assessment=replace(calibration.assessment, findings=findings, verdict=verdict_of(findings))
-    )
+    findings = [*calibration.assessment.findings, *general_precision(calibration)]
+    return replace(calibration, assessment=with_verdict(calibration.assessment, findings))
 
 
 def general_precision(calibration: Calibration) -> Iterator[Finding]:

@@ -10,9 +10,9 @@ from dataclasses import replace
 from math import radians, sqrt
 
 from ..estimate.trust.cluster_trust import Instability
-from ..findings import Finding, Severity, make_finding
+from ..findings import Finding, Severity, list_first, make_finding
 from ..options.requirements import GENERAL_RIG
-from ..results.calibration import Gravity, Verdict
+from ..results.calibration import Assessment, Gravity, Verdict
 from ..results.trust import SigmaRatio, Splits, Trust, UncertaintySummary
 from ..units import STANDARD_GRAVITY_M_S2
 
@@ -192,15 +192,12 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
     wide = underestimated_blocks(trust)
     if not wide or trust.clusters is None:
         return []
-    listed = ", ".join(f"{entry.block} {entry.ratio:.2g} times" for entry in wide[:_SHOWN])
-    more = f" and {len(wide) - _SHOWN} more" if len(wide) > _SHOWN else ""
     missing = f" Likely missing: {'; '.join(likely)}." if likely else ""
     return [
         make_finding(
             "model-incomplete/rig",
             lasting=_lasting(trust.clusters.memory_s),
-            listed=listed,
-            more=more,
+            listed=list_first([f"{entry.block} {entry.ratio:.2g} times" for entry in wide], _SHOWN),
             stretches=trust.clusters.count,
             missing=missing,
             cure=cure,
@@ -282,6 +279,12 @@ def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
     """Return fail where a problem was found, warn where a warning was, else pass."""
     severities = {finding.severity for finding in findings}
     return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
+
+
+def with_verdict(assessment: Assessment, findings: Sequence[Finding]) -> Assessment:
+    """Return an assessment with findings, causes before what follows from them, and the verdict that they give."""
+    ordered = merge_by_cause([*findings])
+    return replace(assessment, findings=ordered, verdict=verdict_of(ordered))
 
 
 LIMITS: dict[str, tuple[float, float]] = {

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .._version import __version__
 from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
 from ..assess.cameras.camera_imu_verdict import assess_camera_imu
 from ..assess.cameras.camera_views import without_copies
@@ -262,7 +261,6 @@ def _assess(
         uncertainty=uncertain,
         assessment=replace(assessment, trust=replace(uncertainty_summary(trust), added=added, tries=tries)),
         provenance=Provenance(
-            gnomon_version=__version__,
             method="camera-imu",
             inputs=fit.recording.sources,
             options=stated_options(replace(stated, compare=False), [fit.recording]),  # what is drawn changes no number

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .._version import __version__
 from ..assess.cameras.camera_synchronism import JointResiduals, check_synchronism
 from ..assess.cameras.camera_views import without_copies
 from ..assess.cameras.cameras_tables import CamerasFitSummary, LensOpinion, describe_cameras
@@ -155,12 +154,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         gravity=UNSTATED_GRAVITY,
         uncertainty=Covariance(names=covariance_names({}, result.cameras), matrix=result.of_cameras),
         assessment=replace(assessment, trust=replace(note, added=board.added, tries=len(board.steps))),
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method="cameras",
-            inputs=recording.sources,
-            options=stated_options(options),
-        ),
+        provenance=Provenance(method="cameras", inputs=recording.sources, options=stated_options(options)),
     )
     return Result(calibration=with_changes(calibration, evidence.trust), diagnostics=diagnostics)
 

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.imu.axes_changed import axes_changed_findings
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
@@ -269,12 +268,7 @@ def _assess(
         gravity=gravity,
         uncertainty=Covariance(names=covariance_names(imus), matrix=fit.estimate.covariance),
         assessment=assess_imu(findings, fit, diagnostics, gravity),
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method="imu",
-            inputs=recording.sources,
-            options=stated_options(options, [recording]),
-        ),
+        provenance=Provenance(method="imu", inputs=recording.sources, options=stated_options(options, [recording])),
     )
     calibration = with_changes(calibration, fit.trust)
     rests = diagnostics.intervals

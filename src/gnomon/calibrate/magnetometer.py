@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.checks.doctor import check_field_samples
 from ..assess.checks.temperature_checks import check_thermometers
@@ -285,10 +284,7 @@ def calibrate_magnetometer(
         uncertainty=Covariance(names=covariance_names(imus), matrix=covariance),
         assessment=assess_field(prepared.findings, evidence, known, prepared.accelerometer is not None),
         provenance=Provenance(
-            gnomon_version=__version__,
-            method="magnetometer",
-            inputs=recording.sources,
-            options=stated_options(options, [recording]),
+            method="magnetometer", inputs=recording.sources, options=stated_options(options, [recording])
         ),
     )
     calibration = with_changes(calibration, evidence.trust.trust)

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .._version import __version__
 from ..assess.checks.protocol import TELLS_RESTS, check_protocol, find_imu_rests
 from ..assess.checks.signals import copied_stretches, isolated_finding
 from ..assess.checks.temperature_checks import check_temperature
@@ -126,7 +125,7 @@ def identify_noise(
             t_init_s=t_init_s,
             verdict=verdict_of(ordered),
             findings=ordered,
-            provenance=Provenance(gnomon_version=__version__, method="noise", inputs=sources, options=stated),
+            provenance=Provenance(method="noise", inputs=sources, options=stated),
         ),
         curves={name: _table(curve, noise[name], fits[name]) for name, curve in curves.items()},
         signals={

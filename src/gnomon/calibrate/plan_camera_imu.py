@@ -6,7 +6,6 @@ plan -> exact measurements -> trajectory through the truth -> linearise once -> 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .._version import __version__
 from ..errors import OptionError
 from ..estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
 from ..estimate.camera_imu.choices import estimation_choices
@@ -113,7 +112,7 @@ def planned_camera_imu(
                 converged=True,
             ),
         ),
-        provenance=Provenance(gnomon_version=__version__, method="plan", options=changed_options(plan), seed=seed),
+        provenance=Provenance(method="plan", options=changed_options(plan), seed=seed),
     )
 
 

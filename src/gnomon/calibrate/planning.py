@@ -13,11 +13,10 @@ from os import PathLike
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.checks.protocol import find_imu_rests
 from ..assess.needs import judge_for_use, needs_of_use
 from ..assess.observability import HELD, known_of, weak_directions
-from ..assess.verdict import merge_by_cause, verdict_of
+from ..assess.verdict import with_verdict
 from ..assess.weak_findings import weak_findings
 from ..detect.samples.rests import Rests
 from ..errors import GnomonError, SolveError
@@ -71,7 +70,7 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
         units=("m/s^2", "rad/s"),
         latitude=plan.latitude,
         found=len(rests),
-        provenance=Provenance(gnomon_version=__version__, method="plan", options=changed_options(plan), seed=seed),
+        provenance=Provenance(method="plan", options=changed_options(plan), seed=seed),
     )
 
 
@@ -306,9 +305,8 @@ def _predicted(
     held = tuple(
         name for name, size, prior in zip(known.names, sigma, known.prior_sigma, strict=True) if size > HELD * prior
     )
-    findings = merge_by_cause(weak_findings(weak, with_camera=bool(found.cameras)))
-    assessment = replace(found.assessment, findings=findings, verdict=verdict_of(findings), held_by_prior=held)
-    return replace(found, assessment=assessment), weak
+    findings = weak_findings(weak, with_camera=bool(found.cameras))
+    return replace(found, assessment=with_verdict(replace(found.assessment, held_by_prior=held), findings)), weak
 
 
 def _worst(calibration: Calibration, use: Use) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_poses
 from ..assess.imu.poses_verdict import assess_poses
@@ -131,12 +130,7 @@ def calibrate_poses(
         gravity=gravity,
         uncertainty=Covariance(names=covariance_names(imus), matrix=covariance),
         assessment=assess_poses(evidence, diagnostics),
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method="imu",
-            inputs=recording.sources,
-            options=stated_options(options, [recording]),
-        ),
+        provenance=Provenance(method="imu", inputs=recording.sources, options=stated_options(options, [recording])),
     )
     calibration = with_changes(calibration, diagnostics.trust)
     if stated is None:

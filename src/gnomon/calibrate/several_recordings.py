@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.imu.joined_recordings import Scalars, joined_assessment, quantities_of, refuse_other_sensors
 from ..assess.priors import Priors, gravity_part
 from ..errors import GnomonError, OptionError, RecordingError
@@ -225,7 +224,7 @@ def _joined(
         first,
         imus=imus,
         uncertainty=Covariance(names=scalars.names, matrix=covariance / np.outer(scalars.factor, scalars.factor)),
-        provenance=Provenance(gnomon_version=__version__, method="imu", inputs=inputs, options=stated),
+        provenance=Provenance(method="imu", inputs=inputs, options=stated),
     )
     calibration = replace(calibration, assessment=joined_assessment(calibration, results, names, scalars, scatter))
     diagnostics = JoinedDiagnostics(

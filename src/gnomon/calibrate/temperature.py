@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.temperature_verdict import temperature_findings
 from ..assess.verdict import SEVERITIES, verdict_of
@@ -213,7 +212,6 @@ def _assessed(
             known,
             assessment=replace(known.assessment, findings=findings, verdict=verdict_of(findings)),
             provenance=Provenance(
-                gnomon_version=__version__,
                 method="temperature",
                 inputs=(*sources, *known.provenance.inputs),
                 options={**known.provenance.options, **stated},

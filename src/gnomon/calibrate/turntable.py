@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.imu.bias_steps import slope_finding
 from ..assess.imu.turntable_tables import TurntableFitSummary, describe_turntable
@@ -117,7 +116,6 @@ def calibrate_turntable(
             evidence, diagnostics, options, agreement=_agreement(prepared, known, options, gravity)
         ),
         provenance=Provenance(
-            gnomon_version=__version__,
             method="turntable",
             inputs=tuple(source for recording in recordings for source in recording.sources),
             options={

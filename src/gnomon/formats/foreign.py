@@ -6,7 +6,6 @@ from typing import Self
 
 import numpy as np
 
-from .._version import __version__
 from ..errors import FormatError
 from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
@@ -199,9 +198,7 @@ def stated_calibration(foreign: ForeignCalibration, unknown: float) -> Calibrati
         gravity=Gravity(value=STANDARD_GRAVITY_M_S2, sigma=float("nan"), source="not stated"),
         uncertainty=Covariance(names=names, matrix=_diagonal([variance[name] for name in names])),
         assessment=Assessment(verdict="warn", findings=(), model="foreign"),
-        provenance=Provenance(
-            gnomon_version=__version__, method=FOREIGN_METHOD, options={"format": foreign.format or "another project"}
-        ),
+        provenance=Provenance(method=FOREIGN_METHOD, options={"format": foreign.format or "another project"}),
     )
 
 

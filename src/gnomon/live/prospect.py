@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 
-from .._version import __version__
 from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
@@ -32,7 +31,7 @@ _UNIT = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 _FACES = _UNIT[np.count_nonzero(DIRECTIONS, axis=1) == 1]
 _APART = np.cos(np.radians(35.0))
 _FEWEST, _ATTITUDES = 7, 12
-_PREDICTED = Provenance(gnomon_version=__version__, method="live")
+_PREDICTED = Provenance(method="live")
 
 
 @value_class

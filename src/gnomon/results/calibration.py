@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from .._version import __version__
 from ..errors import FormatError, OptionError
 from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
@@ -192,8 +193,8 @@ class Assessment:
     trust : where the uncertainty comes from, how parts of the recording agree, and what a use needs
     """
 
-    verdict: Verdict
-    findings: tuple[Finding, ...]
+    verdict: Verdict = "pass"
+    findings: tuple[Finding, ...] = ()
     model: str
     holdout: Holdout = field(default_factory=Holdout)
     intervals_found: int = 0
@@ -223,7 +224,7 @@ class Provenance:
     seed : seed of random numbers, where any were drawn
     """
 
-    gnomon_version: str
+    gnomon_version: str = __version__
     method: str
     inputs: tuple[Source, ...] = ()
     options: Mapping[str, str] = field(default_factory=dict[str, str])

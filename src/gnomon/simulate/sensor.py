@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from .._version import __version__
 from ..frozen import value_class
 from ..recording import Floats
 from ..results.calibration import (
@@ -220,12 +219,7 @@ def true_calibration(
         gravity=Gravity(value=gravity_m_s2, sigma=0.0, source=TRUTH_METHOD),
         uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
         assessment=assessment,
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method=TRUTH_METHOD,
-            options={**(also or {}), **changed_options(scenario)},
-            seed=seed,
-        ),
+        provenance=Provenance(method=TRUTH_METHOD, options={**(also or {}), **changed_options(scenario)}, seed=seed),
     )
 
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from ...estimate.camera_imu.choices import LADDER
 from ...estimate.camera_imu.start.first_guess import imu_stream
-from ...findings import Finding, make_finding
+from ...findings import Finding, list_first, make_finding
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...results.calibration import Assessment, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
 from ..checks.clock_drift import check_drift
 from ..directions import across_words, axis_words
-from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, verdict_of
+from ..verdict import grade_by_limits, gravity_findings, most_severe, with_verdict
 from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
 from .camera_imu_tables import MISFIT, NO_BOARD, NOTHING, CameraImuFitSummary
 from .rig_residuals import cut_findings, residual_findings
@@ -61,14 +61,12 @@ def assess_camera_imu(
         *cut_findings(diagnostics.segments, tuple(evidence.published.imus)),
         *gravity_findings(evidence.gravity),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         model=_model_name(evidence),
         held_by_prior=held,
         camera_imu=fit,
     )
+    return with_verdict(assessment, findings)
 
 
 def _model_name(evidence: CameraImuFitSummary) -> str:
@@ -143,14 +141,11 @@ def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> 
     return [
         *findings,
         make_finding(
-            "not-observable/rig", severity="problem" if vital else "warning", parameters=_listed(vital or list(held))
+            "not-observable/rig",
+            severity="problem" if vital else "warning",
+            parameters=list_first(vital or list(held)),
         ),
     ]
-
-
-def _listed(names: list[str], most: int = 6) -> str:
-    shown = ", ".join(names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def _residuals(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> list[Finding]:
@@ -278,7 +273,7 @@ def _model(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> 
             wanting.append(step.name)
     if not wanting:
         return []
-    return [make_finding("model-too-simple/suggested", wanting=_listed(wanting), model=_model_name(evidence))]
+    return [make_finding("model-too-simple/suggested", wanting=list_first(wanting), model=_model_name(evidence))]
 
 
 def _stated_guess(evidence: CameraImuFitSummary) -> list[Finding]:

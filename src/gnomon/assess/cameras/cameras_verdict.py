@@ -4,13 +4,13 @@ from math import radians
 
 import numpy as np
 
-from ...findings import Finding, join_names, make_finding
+from ...findings import Finding, join_names, list_first, make_finding
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Assessment, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, CornerFit
 from ..checks.camera_checks import ENOUGH_VIEWS
-from ..verdict import grade_by_limits, merge_by_cause, most_severe, parts_disagree, underestimated_blocks, verdict_of
+from ..verdict import grade_by_limits, most_severe, parts_disagree, underestimated_blocks, with_verdict
 from .camera_views import image_coverage
 from .cameras_tables import MISFIT, CamerasFitSummary, LensOpinion
 from .rig_residuals import outlying_corners
@@ -271,8 +271,7 @@ def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:
             continue
         taken = len(left) + int(fit.frame_used.sum())
         severity = grade_by_limits("left out", len(left) / taken)
-        which = ", ".join(f"{k} (at {fit.frame_t_s[k]:.2f} s, off by {fit.frame_rms[k]:.2g} px)" for k in left[:_SHOWN])
-        more = f" and {len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
+        which = [f"{k} (at {fit.frame_t_s[k]:.2f} s, off by {fit.frame_rms[k]:.2g} px)" for k in left]
         findings.append(
             make_finding(
                 "views-left-out",
@@ -280,8 +279,7 @@ def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:
                 name=name,
                 count=len(left),
                 taken=taken,
-                which=which,
-                more=more,
+                which=list_first(which, _SHOWN),
             )
         )
     return findings
@@ -377,13 +375,11 @@ def assess_cameras(
         *_incomplete(evidence),
         *parts_disagree(evidence.trust.splits),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         model=" ".join(dict.fromkeys(camera.camera.model for camera in evidence.cameras.values())),
         cameras=_fit(evidence, diagnostics),
     )
+    return with_verdict(assessment, findings)
 
 
 def _fit(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> CamerasFit:

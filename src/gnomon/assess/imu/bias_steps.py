@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
-from ...findings import Finding, make_finding
+from ...findings import Finding, list_first, make_finding
 from ...recording import Floats
 from ...results.sensor_diagnostics import BiasSegments, ImuDiagnostics
 from ...results.sensors import TemperatureDependence
@@ -179,15 +179,13 @@ def _step_finding(evidence: ImuFitSummary, one: BiasSegments) -> Finding:
         for k in range(len(one.bias))
     ]
     unit = "rad/s" if one.triad == "gyroscope" else "m/s^2"
-    more = f"; and {len(where) - _SHOWN} more" if len(where) > _SHOWN else ""
     t_s = evidence.accelerometer.t_s[evidence.accelerometer.intervals.start]
     few = int(np.sum(t_s >= one.start_s[one.published])) < _SHORT
     return make_finding(
         "bias-step",
         severity="warning" if few else "info",
         triad=one.triad,
-        where="; by ".join(where[:_SHOWN]),
-        more=more,
+        where=list_first(where, _SHOWN, "; by "),
         case="few" if few else "",
         unit=unit,
         parts="; ".join(parts[-_SHOWN:]),

@@ -13,6 +13,7 @@ from ...estimate.multiposition.problem import MultiPositionProblem, TriadStream
 from ...estimate.multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.trust.cluster_trust import Instability
+from ...findings import join_names, list_first
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.result import Booleans, interval_means
@@ -352,6 +353,4 @@ def _noise(evidence: ImuFitSummary) -> dict[str, float]:
 def interval_numbers(marked: Booleans, most: int = 8) -> str:
     """Return "3, 7 and 12": the numbers, counted from 1 as in the report, of marked intervals."""
     numbers = [str(k + 1) for k in np.flatnonzero(marked)]
-    if len(numbers) > most:
-        return ", ".join(numbers[:most]) + f" and {len(numbers) - most} more"
-    return " and ".join(", ".join(numbers).rsplit(", ", 1)) if numbers else "none"
+    return list_first(numbers, most) if len(numbers) > most else join_names(numbers) or "none"

@@ -14,20 +14,21 @@ from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..checks.protocol import left_out_rests_findings as rests_left_out
+from ..priors import NAMES, TRIADS
 from ..verdict import (
     bias_findings,
     grade_by_limits,
     gravity_findings,
-    merge_by_cause,
     model_incomplete,
     most_severe,
     parts_disagree,
     uncertainty_summary,
-    verdict_of,
+    with_verdict,
 )
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ACROSS_STEP, ImuFitSummary, interval_numbers
+from .triad_verdict import ATTITUDES, attitude_words, entry_sigmas, mean_scale, scale_and_angle
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
 _REST_S = 2.0
@@ -145,10 +146,7 @@ def assess_imu(
         *_allan_findings(diagnostics),
         *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         holdout=holdout,
         intervals_found=len(diagnostics.intervals.used),
         intervals_used=int(diagnostics.intervals.used.sum()),
@@ -162,11 +160,12 @@ def assess_imu(
             tries=len(evidence.trust.models),
         ),
     )
+    return with_verdict(assessment, findings)
 
 
 def _unit_per_si(estimate: ImuEstimate) -> dict[str, float]:
     sensitivities = {"accelerometer": estimate.accelerometer_sensitivity, "gyroscope": estimate.gyroscope_sensitivity}
-    return {triad: float(np.abs(np.linalg.det(matrix))) ** (1 / 3) for triad, matrix in sensitivities.items()}
+    return {triad: mean_scale(matrix) for triad, matrix in sensitivities.items()}
 
 
 def _weighed(finding: Finding, diagnostics: ImuDiagnostics) -> Finding:
@@ -200,13 +199,10 @@ def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
 def _relative_sigmas(evidence: ImuFitSummary, gravity: Gravity) -> tuple[float, float, float, float]:
     """Return the largest sigmas of the accelerometer's scales (gravity apart) and angles, then the gyroscope's."""
     estimate = evidence.estimate
-    sigmas = np.sqrt(np.diag(estimate.covariance))
-    a, g = estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity
-    by_a = sigmas[:9].reshape(3, 3) / np.linalg.norm(a, axis=1)[:, None]
-    by_g = sigmas[12:21].reshape(3, 3) / np.linalg.norm(g, axis=1)[:, None]
-    scale_a = np.sqrt(np.maximum(np.diag(by_a) ** 2 - (gravity.sigma / gravity.value) ** 2, 0))
-    off = ~np.eye(3, dtype=bool)
-    return float(scale_a.max()), float(by_a[off].max()), float(np.diag(by_g).max()), float(by_g[off].max())
+    by_a = entry_sigmas(estimate.accelerometer_sensitivity, estimate.covariance[:9, :9])
+    by_g = entry_sigmas(estimate.gyroscope_sensitivity, estimate.covariance[12:21, 12:21])
+    scale, angle = scale_and_angle(by_a)
+    return max(scale**2 - (gravity.sigma / gravity.value) ** 2, 0.0) ** 0.5, angle, *scale_and_angle(by_g)
 
 
 def _uncertainty_findings(evidence: ImuFitSummary, gravity: Gravity) -> list[Finding]:
@@ -229,8 +225,7 @@ def most_useful_attitude(evidence: ImuFitSummary) -> str:
     free = slice(0, 9)
     covariance = evidence.fit.covariance[free, free]
     inverse = np.linalg.inv(evidence.fit.state.matrices[0])
-    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
-    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
+    u = ATTITUDES / np.linalg.norm(ATTITUDES, axis=1, keepdims=True)
     pull = u @ inverse  # derivative of |f| by the measurement
     rows = np.empty((len(u), 9))
     for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
@@ -240,9 +235,7 @@ def most_useful_attitude(evidence: ImuFitSummary) -> str:
     gain = np.sum((rows @ covariance / scale) ** 2, axis=1) / (
         np.einsum("ij,jk,ik->i", rows, covariance, rows) + np.median(np.diag(covariance))
     )
-    best = candidates[np.argmax(gain)]
-    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
-    return f"Add static intervals with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+    return f"Add static intervals with {attitude_words(ATTITUDES[np.argmax(gain)])}."
 
 
 def _missing_rotation(evidence: ImuFitSummary) -> str:
@@ -255,10 +248,7 @@ def _missing_rotation(evidence: ImuFitSummary) -> str:
 def _held_names(held: np.ndarray) -> tuple[str, ...]:
     """Return the YAML paths of scalars that only the prior holds."""
     names = [f"imu0.accelerometer.sensitivity[{i},{j}]" for i, j in zip(*LOWER, strict=True)]
-    names += [f"imu0.accelerometer.bias[{i}]" for i in range(3)]
-    names += [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
-    names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
-    names += [f"imu0.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    names += [*NAMES[TRIADS["accelerometer"]][9:], *NAMES[TRIADS["gyroscope"]]]
     return tuple(name for name, flag in zip(names, held, strict=True) if flag)
 
 
@@ -316,7 +306,7 @@ def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit
     findings: list[Finding] = []
     for triad, unit, sensitivity, table in rows:
         nominal = table.get(unit)
-        ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+        ratio = mean_scale(sensitivity) * (nominal or np.nan)
         if not 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR and np.isfinite(ratio):
             others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
             fits = f" Its values look like {others[0]}." if others else ""

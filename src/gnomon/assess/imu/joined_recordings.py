@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...estimate.trust.between_recordings import RecordingBlock, join_estimates
-from ...findings import Finding, Severity, make_finding
+from ...findings import Finding, Severity, list_first, make_finding
 from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats
@@ -19,7 +19,7 @@ from ...results.result import Result
 from ...results.trust import UncertaintySummary
 from ..comparison.comparison import standing_out
 from ..needs import general_precision, number_words
-from ..verdict import merge_by_cause, verdict_of
+from ..verdict import with_verdict
 
 _OTHER: Mapping[str, float] = {
     "accelerometer_scale": 1e-2,
@@ -188,16 +188,13 @@ def joined_assessment(
             ),
         ),
     )
-    judged = replace(calibration, assessment=assessment)
-    findings = merge_by_cause(
-        [
-            *_of_each(each, names),
-            *standing_out_findings(scalars, names),
-            *general_precision(judged),
-            _joined(scatter, names),
-        ]
-    )
-    return replace(assessment, verdict=verdict_of(findings), findings=findings)
+    findings = [
+        *_of_each(each, names),
+        *standing_out_findings(scalars, names),
+        *general_precision(replace(calibration, assessment=assessment)),
+        _joined(scatter, names),
+    ]
+    return with_verdict(assessment, findings)
 
 
 def _pooled(parts: Sequence[tuple[float, int]]) -> float:
@@ -217,10 +214,7 @@ def _of_each(each: Sequence[Assessment], names: Sequence[str]) -> Iterator[Findi
         first = same[0][1]
         of = list(dict.fromkeys(name for name, _ in same))
         if len(of) < len(names) or len({finding.message for _, finding in same}) > 1:
-            more = f" and {len(of) - 1 - _MOST_NAMED} more" if len(of) - 1 > _MOST_NAMED else ""
-            too = (
-                f" The like, with other numbers, in {', '.join(of[1 : 1 + _MOST_NAMED])}{more}." if len(of) > 1 else ""
-            )
+            too = f" The like, with other numbers, in {list_first(of[1:], _MOST_NAMED)}." if len(of) > 1 else ""
             first = replace(first, message=f"{of[0]}: {first.message}{too}")
         yield first
 

@@ -3,15 +3,16 @@
 import numpy as np
 
 from ...estimate.triads.blocks import FEWEST_BLOCKS
-from ...findings import Finding, Severity, make_finding
+from ...findings import Finding, Severity, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
 from ...units import MAGNETOMETER_UNITS_UT
 from ..priors import NAMES, TRIADS, Prior
-from ..verdict import bias_findings, grade_by_limits, merge_by_cause, parts_disagree, uncertainty_summary, verdict_of
+from ..verdict import bias_findings, grade_by_limits, parts_disagree, uncertainty_summary, with_verdict
 from ..weak_findings import prior_findings
 from .imu_verdict import convergence_findings
 from .magnetometer_tables import FieldFitSummary, FieldOutliers, field_outliers
+from .triad_verdict import entry_sigmas, held_names, mean_scale, scale_and_angle
 
 _MAGNETOMETER_HANDEDNESS_SIGNIFICANT = 4.0  # sigmas
 _LEAST_DIP_DEG = 3.0
@@ -117,10 +118,7 @@ def assess_field(
         *bias_findings(evidence.trust.instabilities, {"magnetometer": _unit_per_field(evidence)}),
         *convergence_findings(fit.iron.converged, fit.iron.iterations),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         model=fit.model,
         holdout=Holdout(field_rms=fit.holdout_rms / evidence.strength),
         intervals_found=len(fit.used),
@@ -128,10 +126,11 @@ def assess_field(
         held_by_prior=_held(evidence),
         trust=uncertainty_summary(evidence.trust.trust),
     )
+    return with_verdict(assessment, findings)
 
 
 def _unit_per_field(evidence: FieldFitSummary) -> float:
-    return float(np.abs(np.linalg.det(evidence.fit.iron.sensitivity))) ** (1 / 3) * evidence.strength
+    return mean_scale(evidence.fit.iron.sensitivity) * evidence.strength
 
 
 def _holdout_findings(evidence: FieldFitSummary) -> list[Finding]:
@@ -150,9 +149,7 @@ def _uncertainty_findings(evidence: FieldFitSummary) -> list[Finding]:
     sigma = np.sqrt(np.diag(evidence.covariance)[-12:])
     # A common rotation of all axes is no matter of this; it is judged with the accelerometer.
     basis = evidence.fit.iron.basis[:9]
-    own = np.sqrt(np.einsum("ij,jk,ik->i", basis, evidence.fit.covariance, basis))
-    by_axis = own.reshape(3, 3) / rows[:, None]
-    scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
+    scale, angle = scale_and_angle(entry_sigmas(magnetometer.sensitivity, basis @ evidence.fit.covariance @ basis.T))
     offset = float((sigma[9:] / rows).max()) / evidence.strength
     severity = grade_by_limits("magnetometer", max(scale, angle, offset))
     return [
@@ -202,8 +199,6 @@ def _coverage_findings(evidence: FieldFitSummary) -> list[Finding]:
 def _stray_findings(evidence: FieldFitSummary, found: FieldOutliers) -> list[Finding]:
     findings: list[Finding] = []
     if len(found.stretches):
-        named = ", ".join(f"{low:.1f}-{high:.1f} s" for low, high in found.stretches[:_MOST_NAMED])
-        more = f" and {len(found.stretches) - _MOST_NAMED} more" if len(found.stretches) > _MOST_NAMED else ""
         share = float(np.sum(found.stretches[:, 1] - found.stretches[:, 0])) / float(np.ptp(evidence.t_s))
         longest = float(np.ptp(found.stretches, axis=1).max())
         findings.append(
@@ -211,8 +206,7 @@ def _stray_findings(evidence: FieldFitSummary, found: FieldOutliers) -> list[Fin
                 "magnetometer-disturbed",
                 severity="warning" if share > _STRAY_WARN else "info",
                 case="lasting" if longest > _LASTING * np.ptp(evidence.t_s) else "",
-                named=named,
-                more=more,
+                named=list_first([f"{low:.1f}-{high:.1f} s" for low, high in found.stretches], _MOST_NAMED),
                 share=share,
             )
         )
@@ -252,8 +246,7 @@ def _strength_findings(evidence: FieldFitSummary) -> list[Finding]:
     factor = MAGNETOMETER_UNITS_UT.get(evidence.unit)
     if factor is None:
         return []
-    scale = float(np.abs(np.linalg.det(magnetometer.sensitivity))) ** (1 / 3)
-    shown = scale * evidence.strength * factor
+    shown = mean_scale(magnetometer.sensitivity) * evidence.strength * factor
     likely = _EARTH_UT[0] < shown < _EARTH_UT[1]
     stated = "" if evidence.field is None else f"; {evidence.field:.3g} uT was stated"
     if not likely:
@@ -288,9 +281,7 @@ def _alignment_sigma(evidence: FieldFitSummary) -> float:
     """Return the largest sigma of a direction of the sensitivity, rotation included [rad]."""
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
-    rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
-    by_axis = np.sqrt(np.diag(evidence.covariance)[-12:-3]).reshape(3, 3) / rows[:, None]
-    return float((by_axis * ~np.eye(3, dtype=bool)).max())
+    return scale_and_angle(entry_sigmas(magnetometer.sensitivity, evidence.covariance[-12:-3, -12:-3]))[1]
 
 
 def _left_out_findings(evidence: FieldFitSummary) -> list[Finding]:
@@ -311,9 +302,7 @@ def _left_out_findings(evidence: FieldFitSummary) -> list[Finding]:
 
 
 def _held(evidence: FieldFitSummary) -> tuple[str, ...]:
-    at = TRIADS["magnetometer"]
-    held = evidence.fit.iron.held_by_prior
-    return tuple(name for name, flag in zip(NAMES[at.start : at.stop], held, strict=True) if flag)
+    return held_names("magnetometer", evidence.fit.iron.held_by_prior)
 
 
 def _held_findings(evidence: FieldFitSummary) -> list[Finding]:

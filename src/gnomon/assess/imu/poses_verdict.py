@@ -5,16 +5,26 @@ import numpy as np
 from ...estimate.triads.angrisano import AngrisanoFit
 from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift, PoseStep
 from ...estimate.triads.triad_poses import B_, S_
-from ...findings import Finding, make_finding
+from ...findings import Finding, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ...results.parameters import element_names
 from ...results.sensor_diagnostics import PoseTable, TriadDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2
-from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, uncertainty_summary, verdict_of
+from ..verdict import grade_by_limits, gravity_findings, most_severe, uncertainty_summary, with_verdict
 from .imu_tables import root_mean_square
 from .pose_tables import PoseFitSummary, RestingGyroscope, gyroscope_findings
-from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
+from .triad_verdict import (
+    ATTITUDES,
+    attitude_words,
+    held_names,
+    mean_scale,
+    redundancy_findings,
+    relative_sigmas,
+    scale_and_angle,
+    scatter_findings,
+    triad_trust_findings,
+)
 
 _AXES = "xyz"
 _DETERMINED = 9  # attitudes
@@ -54,10 +64,7 @@ def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Ass
         *triad_trust_findings([(evidence.trust, evidence.fit)]),
         *_convergence(evidence),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         model=_model(gyroscope),
         holdout=holdout,
         intervals_found=len(table.used) + len(evidence.left_out),
@@ -65,6 +72,7 @@ def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Ass
         held_by_prior=_held(evidence),
         trust=uncertainty_summary(evidence.trust.trust),
     )
+    return with_verdict(assessment, findings)
 
 
 def assess_published(
@@ -87,15 +95,13 @@ def assess_published(
         *left_out_poses_findings(table, left_out),
         *gravity_findings(gravity),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         model="none",
         holdout=holdout,
         intervals_found=len(table.used) + len(left_out),
         intervals_used=len(table.used),
     )
+    return with_verdict(assessment, findings)
 
 
 def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
@@ -171,7 +177,7 @@ def _uncertainty_findings(evidence: PoseFitSummary) -> list[Finding]:
     fit, gravity = evidence.fit, evidence.gravity
     sigma = relative_sigmas(fit)
     scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
-    angle = float(sigma[~np.eye(3, dtype=bool)].max())
+    _, angle = scale_and_angle(sigma)
     own_frame = evidence.stated is None
     severity = grade_by_limits("scale", scale)
     if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
@@ -191,12 +197,9 @@ def _uncertainty_findings(evidence: PoseFitSummary) -> list[Finding]:
 
 def farthest_attitude(direction: Floats) -> str:
     """Name the attitude that is farthest from all that were recorded, as unit vectors (n, 3)."""
-    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
-    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
-    nearest = (u @ direction.T).max(axis=1) - 1e-3 * np.count_nonzero(candidates == 0, axis=1)
-    best = candidates[np.argmin(nearest)]
-    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
-    return f"Add poses with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+    u = ATTITUDES / np.linalg.norm(ATTITUDES, axis=1, keepdims=True)
+    nearest = (u @ direction.T).max(axis=1) - 1e-3 * np.count_nonzero(ATTITUDES == 0, axis=1)
+    return f"Add poses with {attitude_words(ATTITUDES[np.argmin(nearest)])}."
 
 
 def _observability_findings(evidence: PoseFitSummary) -> list[Finding]:
@@ -248,7 +251,7 @@ def _jig_finding(evidence: PoseFitSummary) -> Finding:
 def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
     """Warn where the scales are far from what the unit says; counts say nothing."""
     nominal = ACCELEROMETER_UNITS_M_S2.get(unit)
-    ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+    ratio = mean_scale(sensitivity) * (nominal or np.nan)
     if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
         return []
     return [make_finding("unit/poses", ratio=ratio, unit=unit)]
@@ -260,31 +263,27 @@ def left_out_poses_findings(table: PoseTable, left_out: tuple[tuple[str, str], .
     if not named:
         return []
     total = len(table.used) + len(left_out)
-    listed = "; ".join(f"{name} ({reason})" for name, reason in named[:_NAMED])
-    more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    listed = [f"{name} ({reason})" for name, reason in named]
     return [
         make_finding(
             "poses-left-out",
             severity="warning" if len(named) > 0.1 * total else "info",
             count=len(named),
             total=total,
-            listed=listed,
-            more=more,
+            listed=list_first(listed, _NAMED, "; "),
         )
     ]
 
 
 def _held(evidence: PoseFitSummary) -> tuple[str, ...]:
     """Return the YAML paths of scalars that an assumption holds, not the poses."""
-    names = [*element_names("imu0.accelerometer.sensitivity", (3, 3)), *element_names("imu0.accelerometer.bias", (3,))]
     held = evidence.fit.held_by_prior[:12].copy()
     if evidence.stated is None and evidence.attitudes < _DETERMINED:
         held[[3, 6, 7]] |= not evidence.known.knows("imu0.accelerometer.sensitivity")
-    found = [name for name, flag in zip(names, held, strict=True) if flag]
-    gyroscope = evidence.gyroscope
+    gyroscope, found = evidence.gyroscope, held_names("accelerometer", held)
     if gyroscope is not None and gyroscope.sensitivity is not None and gyroscope.assumed:
-        found += element_names("imu0.gyroscope.sensitivity", (3, 3))
-    return tuple(found)
+        return *found, *element_names("imu0.gyroscope.sensitivity", (3, 3))
+    return found
 
 
 def _convergence(evidence: PoseFitSummary) -> list[Finding]:

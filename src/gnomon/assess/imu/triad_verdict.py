@@ -10,11 +10,44 @@ from ...estimate.triads.triad_trust import merge_trusts
 from ...estimate.trust.cluster_trust import RobustCovariance
 from ...findings import Finding, make_finding
 from ...recording import Floats
+from ...results.result import Booleans
+from ..priors import NAMES, TRIADS
 from ..verdict import bias_findings, model_incomplete, parts_disagree
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude
 _FEW_REDUNDANT = 3
+
+
+ATTITUDES = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+"""Axes that point up, or down, or halfway, (26, 3)."""
+
+
+def attitude_words(attitude: Floats) -> str:
+    """Name one of `ATTITUDES`, such as "x up and z down (tilted halfway)"."""
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip("xyz", attitude, strict=True) if value]
+    return " and ".join(ups) + (" (tilted halfway)" if len(ups) > 1 else "")
+
+
+def mean_scale(sensitivity: Floats) -> float:
+    """Return the geometric mean of the scales of a sensitivity (3, 3)."""
+    return float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3)
+
+
+def entry_sigmas(sensitivity: Floats, covariance: Floats) -> Floats:
+    """Return the sigmas of the entries of a sensitivity relative to its rows, (3, 3), from their covariance (9, 9)."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(3, 3)
+    return sigma / np.linalg.norm(sensitivity, axis=1)[:, None]
+
+
+def scale_and_angle(sigma: Floats) -> tuple[float, float]:
+    """Return the largest relative sigma of the scales, on the diagonal of (3, 3), and of the angles beside it."""
+    return float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
+
+
+def held_names(triad: str, held: Booleans) -> tuple[str, ...]:
+    """Return the paths of those scalars of a triad that only an assumption holds."""
+    return tuple(name for name, flag in zip(NAMES[TRIADS[triad]], held, strict=True) if flag)
 
 
 def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
@@ -33,8 +66,7 @@ def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
         by_scale = np.linalg.inv(fit.sensitivity).T.ravel() / 3  # d log det^(1/3)
         common = given @ by_scale
         given = given - np.outer(common, common) / float(by_scale @ common)
-    sigma = np.sqrt(np.maximum(np.diag(given), 0.0)).reshape(3, 3)
-    return np.asarray(sigma / np.linalg.norm(fit.sensitivity, axis=1)[:, None], dtype=np.float64)
+    return entry_sigmas(fit.sensitivity, given)
 
 
 def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) -> list[Finding]:
@@ -42,7 +74,7 @@ def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) ->
     trust = merge_trusts([one.trust for one, _ in trusts])
     findings = [*model_incomplete(trust), *parts_disagree(trust.splits)]
     for one, fit in trusts:
-        scale = float(np.abs(np.linalg.det(fit.sensitivity))) ** (1 / 3)
+        scale = mean_scale(fit.sensitivity)
         findings += bias_findings(one.instabilities, {found.block.split(".")[1]: scale for found in one.instabilities})
     return findings
 

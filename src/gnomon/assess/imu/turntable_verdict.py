@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ...findings import Finding, make_finding
+from ...findings import Finding, list_first, make_finding
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import TurntableOptions
 from ...recording import Floats
@@ -16,13 +16,19 @@ from ..verdict import (
     LIMITS,
     grade_by_limits,
     gravity_findings,
-    merge_by_cause,
     most_severe,
     uncertainty_summary,
-    verdict_of,
+    with_verdict,
 )
 from .imu_verdict import axis_findings, convergence_findings
-from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
+from .triad_verdict import (
+    held_names,
+    mean_scale,
+    redundancy_findings,
+    relative_sigmas,
+    scale_and_angle,
+    triad_trust_findings,
+)
 from .turntable_tables import TurntableFitSummary, holdout_rms, turntable_trusts
 
 _RATE_WORTH = 2e-4  # what a video gives
@@ -73,10 +79,7 @@ def assess_turntable(
     found = evidence.fit.accelerometer
     if found is not None:
         findings += [*axis_findings(fit.sensitivity), *gravity_findings(evidence.gravity)]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         holdout=Holdout(
             accelerometer_rms=float("nan") if found is None else holdout_rms(found.fit), rate_rms=holdout_rms(fit)
         ),
@@ -86,6 +89,7 @@ def assess_turntable(
         held_by_prior=assumption_held_names(evidence),
         trust=uncertainty_summary(diagnostics.trust) if diagnostics.trust is not None else UncertaintySummary(),
     )
+    return with_verdict(assessment, findings)
 
 
 def _relative_sigmas(evidence: TurntableFitSummary) -> Floats:
@@ -95,7 +99,7 @@ def _relative_sigmas(evidence: TurntableFitSummary) -> Floats:
 
 def _uncertainty(evidence: TurntableFitSummary) -> Iterator[Finding]:
     fit, sigma = evidence.fit.fit, _relative_sigmas(evidence)
-    scale, angle = float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
+    scale, angle = scale_and_angle(sigma)
     by_rate = float(np.min(fit.group_sigma[evidence.parts.data.rates > 0]))
     own = float(np.sqrt(max(scale**2 - by_rate**2, 0.0))) if fit.scale_known else scale
     of_axes, of_rate = (
@@ -187,10 +191,7 @@ def _orientations(evidence: TurntableFitSummary) -> Iterator[Finding]:
 
 def assumption_held_names(evidence: TurntableFitSummary) -> tuple[str, ...]:
     """Return the paths of scalars that only a weak assumption holds."""
-    names = [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
-    names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
-    names += [f"imu0.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
-    return tuple(name for name, held in zip(names, evidence.fit.fit.held_by_prior, strict=True) if held)
+    return held_names("gyroscope", evidence.fit.fit.held_by_prior)
 
 
 def _not_observable(evidence: TurntableFitSummary) -> Iterator[Finding]:
@@ -198,9 +199,7 @@ def _not_observable(evidence: TurntableFitSummary) -> Iterator[Finding]:
     if not evidence.fit.fit.scale_known and np.diag(_relative_sigmas(evidence)).max() < _SCALE_FAIL:
         held = tuple(name for name in held if ".sensitivity" not in name)  # the common scale, which is told
     if held:
-        yield make_finding(
-            "not-observable/turntable", count=len(held), held=", ".join(held[:3]), more=", ..." if len(held) > 3 else ""
-        )
+        yield make_finding("not-observable/turntable", count=len(held), held=list_first(held, 3))
 
 
 def _left_out(evidence: TurntableFitSummary) -> Iterator[Finding]:
@@ -212,15 +211,13 @@ def _left_out(evidence: TurntableFitSummary) -> Iterator[Finding]:
         if not used
     ]
     if out:
-        more = f" and {len(out) - _MOST_NAMED} more" if len(out) > _MOST_NAMED else ""
         total = len(parts.names) + len(parts.left_out)
         yield make_finding(
             "parts-left-out",
             severity="warning" if len(out) > 0.1 * total else "info",
             count=len(out),
             total=total,
-            out="; ".join(out[:_MOST_NAMED]),
-            more=more,
+            out=list_first(out, _MOST_NAMED, "; "),
         )
 
 
@@ -266,7 +263,7 @@ def _scale_far(evidence: TurntableFitSummary) -> Iterator[Finding]:
     nominal = GYROSCOPE_UNITS_RAD_S[unit]
     if nominal is None:
         return
-    ratio = float(np.abs(np.linalg.det(evidence.fit.fit.sensitivity))) ** (1 / 3) * nominal
+    ratio = mean_scale(evidence.fit.fit.sensitivity) * nominal
     if abs(ratio - 1) > _FAR_SCALE:
         yield make_finding("scale-far", ratio=ratio, unit=unit)
 

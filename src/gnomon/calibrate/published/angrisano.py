@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..._version import __version__
 from ...assess.imu.pose_tables import describe_published
 from ...assess.imu.poses_verdict import assess_published
 from ...errors import InitialisationError, OptionError, SolveError
@@ -73,12 +72,7 @@ def calibrate_poses_as_published(
         assessment=assess_published(
             noticed, prepared.left_out, fit=fit, sensor=sensor, diagnostics=diagnostics, gravity=gravity
         ),
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method="imu",
-            inputs=recording.sources,
-            options=stated_options(options, [recording]),
-        ),
+        provenance=Provenance(method="imu", inputs=recording.sources, options=stated_options(options, [recording])),
     )
     if options.frame not in ("accel-x", "accel-z"):  # the first is the default, which the document does not know
         table = diagnostics.triads["accelerometer"].poses

@@ -8,7 +8,6 @@ those of ordinary least squares with independent residuals, which adjacent rotat
 
 import numpy as np
 
-from ..._version import __version__
 from ...assess.imu.imu_tables import (
     allan_curve,
     bin_edges,
@@ -18,7 +17,7 @@ from ...assess.imu.imu_tables import (
     uncalibrated_rotation_error,
 )
 from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
-from ...assess.verdict import gravity_findings, merge_by_cause, verdict_of
+from ...assess.verdict import gravity_findings, with_verdict
 from ...detect.samples.noise import resting_noise
 from ...estimate.multiposition.magnitude import UPPER
 from ...estimate.multiposition.rotations import MotionSegments
@@ -171,12 +170,7 @@ def calibrate_as_published(recording: Recording, prepared: PreparedImu, options:
             preset=options.preset,
             converged=search.fit.converged and turned.fit.converged,
         ),
-        provenance=Provenance(
-            gnomon_version=__version__,
-            method="imu",
-            inputs=recording.sources,
-            options=stated_options(options, [recording]),
-        ),
+        provenance=Provenance(method="imu", inputs=recording.sources, options=stated_options(options, [recording])),
     )
     if options.frame != "accel-z":
         rests = diagnostics.intervals
@@ -229,10 +223,7 @@ def _assess(
         make_finding("preset", preset=preset),
         *convergence_findings(converged),
     ]
-    ordered = merge_by_cause(findings)
-    return Assessment(
-        verdict=verdict_of(ordered),
-        findings=ordered,
+    assessment = Assessment(
         holdout=holdout,
         intervals_found=len(diagnostics.intervals.used),
         intervals_used=len(diagnostics.intervals.used),
@@ -240,3 +231,4 @@ def _assess(
         rotations_used=len(diagnostics.rotations.used),
         model="basic",
     )
+    return with_verdict(assessment, findings)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..._version import __version__
 from ...errors import OptionError
 from ...recording import Floats, ImuSamples
 from ...results.calibration import (
@@ -88,7 +87,7 @@ def _ideal(imu: ImuSamples, triads: Sequence[str], name: str) -> Calibration:
         gravity=UNSTATED_GRAVITY,
         uncertainty=Covariance(names=covariance_names(imus), matrix=np.diag(np.concatenate(sigma) ** 2)),
         assessment=Assessment(verdict="pass", findings=(), model="temperature"),
-        provenance=Provenance(gnomon_version=__version__, method="temperature"),
+        provenance=Provenance(method="temperature"),
     )
 
 

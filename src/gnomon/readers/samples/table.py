@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import RecordingError
+from ...findings import list_first
 from ...frozen import value_class
 from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples
@@ -147,8 +148,7 @@ def _left_columns(name: str, layout: TextLayout, used: Roles) -> str | None:
     taken = {i for i, _ in used.time} | {i for triad in used.triads for i in triad.columns}
     taken |= set() if used.temperature is None else {used.temperature[0]}
     left = [text for i, text in enumerate(layout.header) if i not in taken and text]
-    listed = ", ".join(left[:_MOST_LISTED]) + (f" and {len(left) - _MOST_LISTED} more" if left[_MOST_LISTED:] else "")
-    return f"{name}: columns that are not used: {listed}." if left else None
+    return f"{name}: columns that are not used: {list_first(left, _MOST_LISTED)}." if left else None
 
 
 _KELVIN, _CHIP = (220.0, 400.0), (-60.0, 130.0)
