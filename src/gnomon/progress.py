@@ -1,10 +1,12 @@
 """How far a long piece of work is."""
 
-from collections.abc import Callable, Generator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Self
+from typing import Self, TypeVar
 
+T = TypeVar("T")
 Progress = Callable[[str], None]
 """Takes a sentence on what is being done, or a `Step`."""
 
@@ -50,7 +52,7 @@ def as_step(sentence: str) -> Step:
 
 
 _LISTENER: ContextVar[Progress | None] = ContextVar("listener", default=None)
-_LONG_BYTES = 1 << 25
+_LONG_BYTES, _SOON_S = 1 << 25, 1.0
 
 
 @contextmanager
@@ -68,3 +70,12 @@ def tell_read(name: str, done_bytes: int, of_bytes: int) -> None:
     listener = _LISTENER.get()
     if listener is not None and of_bytes > _LONG_BYTES:
         listener(Step(f"reading {name}", int(100 * min(done_bytes / of_bytes, 1)), 100))
+
+
+def tell_parts(stage: str, parts: Iterable[T], count: int) -> Iterator[T]:
+    """Yield the parts of some work, so many, and where it takes long tell how many are done to who listens."""
+    listener, began_s, each = _LISTENER.get(), time.monotonic(), max(1, count // 100)
+    for done, part in enumerate(parts):
+        if listener is not None and done % each == 0 and time.monotonic() - began_s > _SOON_S:
+            listener(Step(stage, done, max(count, done)))
+        yield part

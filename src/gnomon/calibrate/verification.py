@@ -3,7 +3,7 @@
 estimate the same numbers from the fresh recording -> hold both against each other, block by block
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
@@ -20,7 +20,7 @@ from ..models.target import Target
 from ..options import CameraImuOptions, CameraOptions
 from ..options.requirements import Use
 from ..progress import Progress
-from ..recording import Recording, shared_sources
+from ..recording import Recording, Source, shared_sources
 from ..recording.thermometer import known_readings
 from ..results.calibration import Calibration, Covariance
 from ..results.result import Result
@@ -68,7 +68,9 @@ def verify(
     frozen = ComparisonCandidate.of("the calibration", known)
     if not isinstance(recording, Recording):
         fresh = recording.calibration if isinstance(recording, Result) else recording
+        _refuse_its_own(frozen, fresh.provenance.inputs)
         return _held_against(frozen, fresh, None, use)
+    _refuse_its_own(frozen, recording.sources)
     with suppress(GnomonError, np.linalg.LinAlgError):
         with estimates_alone() as postponed:
             quick = _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)
@@ -78,14 +80,17 @@ def verify(
     return _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)
 
 
-def _held_against(
-    frozen: ComparisonCandidate, fresh: Calibration, wide: Calibration | None, use: Use | None
-) -> Verification:
-    if shared := shared_sources(frozen.inputs, fresh.provenance.inputs):
+def _refuse_its_own(frozen: ComparisonCandidate, sources: Collection[Source]) -> None:
+    if shared := shared_sources(frozen.inputs, sources):
         raise OptionError(
             f"the calibration was made from {shared[0].name}, the very recording that is to verify it: that says "
             "nothing. Record afresh."
         )
+
+
+def _held_against(
+    frozen: ComparisonCandidate, fresh: Calibration, wide: Calibration | None, use: Use | None
+) -> Verification:
     helped = None if wide is None else ComparisonCandidate.of("the prior", wide)
     incomplete = any(finding.code == "model-incomplete" for finding in fresh.assessment.findings)
     found = ComparisonCandidate.of("the recording", fresh)

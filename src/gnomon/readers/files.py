@@ -6,6 +6,7 @@ Zip and NPZ files of others: what goes wrong with them, and what they may not be
 import gzip
 import hashlib
 import io
+import os
 import struct
 import warnings
 import zipfile
@@ -20,6 +21,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..formats.shared.structured import refuse_special
 from ..frozen import value_class
+from ..progress import tell_read
 from ..recording import Source
 
 try:
@@ -70,6 +72,19 @@ def refuse_false_arrays(archive: zipfile.ZipFile, where: str) -> None:
                 f"{where}: the header of {member.filename[:80]} states the shape {str(shape)[:80]}, which is more than "
                 f"its {member.file_size} bytes. Copy the file again."
             )
+
+
+class ToldFile(io.FileIO):
+    """A file that tells how much of it is read, wherever it is read; what stands around it buffers."""
+
+    _done = 0
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        """Read into a buffer, as a file does."""
+        count = super().readinto(buffer)
+        self._done += count or 0
+        tell_read(Path(os.fsdecode(self.name)).name, self._done, os.fstat(self.fileno()).st_size)
+        return count
 
 
 def array_header(member: Any) -> Header:

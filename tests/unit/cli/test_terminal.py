@@ -3,14 +3,16 @@
 import itertools
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+import field_logs
 from gnomon.cli import main
 from gnomon.cli.summary import finding_lines
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OutputError
 from gnomon.findings import Finding
-from gnomon.progress import Step
+from gnomon.progress import Step, as_step
 
 
 @pytest.fixture
@@ -66,6 +68,48 @@ def test_a_long_file_tells_how_far_it_is_read(capsys, tmp_path, monkeypatch):
     lines = [line for line in told(capsys) if line.startswith("reading long.csv: ")]
     assert len(lines) > 1
     assert lines[-1] == "reading long.csv: 100 %"
+
+
+@pytest.fixture
+def all_long(monkeypatch):
+    """Let every file and every piece of work count as one that takes long."""
+    monkeypatch.setattr("gnomon.progress._LONG_BYTES", 1 << 12)
+    monkeypatch.setattr("gnomon.progress._SOON_S", -1.0)
+
+
+def stages(monkeypatch, *words):
+    """Run a command, and return its stages, each with what was done of how much."""
+    found = {}
+    monkeypatch.setattr(Terminal, "progress", lambda _, step: found.setdefault(as_step(step).stage, []).append(step))
+    main([str(word) for word in words])
+    return {name: [(step.done, step.of) for step in map(as_step, steps)] for name, steps in found.items()}
+
+
+@pytest.mark.usefixtures("all_long")
+def test_a_long_npz_and_its_check_tell_how_far_they_are(tmp_path, monkeypatch):
+    values = np.random.default_rng(0).normal((0.0, 0.0, 9.8), 1e-3, (200_000, 3))
+    rates = np.random.default_rng(1).normal(0.0, 1e-3, (200_000, 3))
+    np.savez(tmp_path / "long.npz", t_s=np.arange(200_000) * 0.005, accelerometer=values, gyroscope=rates)
+    seen = stages(monkeypatch, "check", tmp_path / "long.npz")
+    shares = [done for done, of in seen["reading long.npz"] if of == 100]
+    assert shares == sorted(shares)
+    assert shares[-1] == 100
+    assert len(set(shares)) > 5
+    assert seen["checking the recording"] == [(k, 5) for k in range(5)]
+    assert [of for _, of in seen["finding static intervals"]] == [5] * 5
+
+
+@pytest.mark.usefixtures("all_long")
+def test_logs_of_devices_tell_how_far_they_are_read(tmp_path, monkeypatch):
+    samples = field_logs.samples()
+    printed = tmp_path / "printed.txt"
+    printed.write_text("".join(f"ax={x:.3f} ay={y:.3f} az={z:.3f}\n" for x, y, z in samples.force))
+    log = field_logs.ulog(tmp_path / "log.ulg", samples)
+    for words, stage in (
+        ((printed, "--rate", "50"), "reading the lines of printed.txt"),
+        ((log,), "reading log.ulg"),
+    ):
+        assert {of for _, of in stages(monkeypatch, "check", *words)[stage]} == {100}
 
 
 def test_quiet_tells_errors_alone(capsys, tmp_path):

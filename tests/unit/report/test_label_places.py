@@ -24,9 +24,11 @@ def test_a_label_goes_where_nothing_is():
 
 def texts_and_lines(svg):
     """Return the labels of a drawing with their centres, and points along all of its lines, a unit apart."""
+    number = r"([\d.e-]+)"
+    found = re.findall(rf'<text[^>]* x="{number}" y="{number}" dx="{number}em" dy="{number}em">([^<]+)</text>', svg)
     texts = [
-        (text, np.array([float(x), float(y) - 0.35 * TEXT]))
-        for x, y, text in re.findall(r'<text[^>]*x="([\d.-]+)" y="([\d.-]+)">([^<]+)</text>', svg)
+        (text, np.array([float(x) + TEXT * float(dx), float(y) + TEXT * (float(dy) - 0.35)]))
+        for x, y, dx, dy, text in found
     ]
     points = []
     for path in re.findall(r' d="(M[^"]+)"', svg):

@@ -8,10 +8,11 @@ import numpy as np
 
 from ...detect.samples.threshold import RestDetection
 from ...findings import Finding, make_finding
+from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
 from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
-from .signals import check_signal, check_stamps, check_vibration
+from .signals import axis_extremes, check_signal, check_stamps, check_vibration
 from .temperature_checks import check_thermometers
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
@@ -257,28 +258,30 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
         return [
             make_finding("samples-missing/imu", name=name, accelerometer=len(accelerometer), gyroscope=len(gyroscope))
         ]
-    findings: list[Finding] = []
-    if len(gyroscope) == 0:
-        findings.append(make_finding("gyroscope-missing/imu", name=name))
-        findings += check_stamps(accelerometer, f"{name} accelerometer")
-    elif np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
-        findings += check_stamps(accelerometer, name)
+    both = len(gyroscope) > 1
+    labels = [f"{name} {quantity}" for quantity in ("accelerometer", "gyroscope")]
+    looks: list[Callable[[], list[Finding]]] = []
+    if not both:
+        looks += [lambda: [make_finding("gyroscope-missing/imu", name=name)]]
+    if both and np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
+        looks += [lambda: check_stamps(accelerometer, name)]
     else:
-        findings += check_stamps(accelerometer, f"{name} accelerometer")
-        findings += check_stamps(gyroscope, f"{name} gyroscope")
-        findings += _clocks(accelerometer, gyroscope, name)
-    signals = check_signal(accelerometer, f"{name} accelerometer", gyroscope)
-    usable = not any(finding.code == "signal-constant" for finding in signals)
-    findings += signals
-    if len(gyroscope) > 1:
-        findings += check_signal(gyroscope, f"{name} gyroscope", accelerometer)
-        findings += check_vibration(accelerometer, gyroscope, name)
-        findings += check_lost_samples(gyroscope, f"{name} gyroscope")
-    usable = usable and all(len(triad) < 2 or np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope))
-    if usable and len(gyroscope) > 1:
-        findings += check_triad_clocks(imu, name)
-    if not usable:
+        looks += [lambda: check_stamps(accelerometer, labels[0])]
+        looks += [lambda: check_stamps(gyroscope, labels[1]), lambda: _clocks(accelerometer, gyroscope, name)] * both
+    looks += [lambda: check_signal(accelerometer, labels[0], gyroscope)]
+    if both:
+        looks += [
+            lambda: check_signal(gyroscope, labels[1], accelerometer),
+            lambda: check_vibration(accelerometer, gyroscope, name),
+            lambda: check_lost_samples(gyroscope, labels[1]),
+        ]
+    findings = [finding for look in tell_parts("checking the recording", looks, len(looks)) for finding in look()]
+    if np.equal(*axis_extremes(accelerometer.values)).all() or not all(
+        np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope) if len(triad) > 1
+    ):
         return findings
+    if both:
+        findings += check_triad_clocks(imu, name)
     return findings + check_protocol(imu, name, find_rests(imu))
 
 

@@ -267,10 +267,9 @@ def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool)
             f"{worst.largest_px:.2g} px ({worst.turned_rms_px:.2g} px rms after a turn of the camera)."
         )
     if not known:
-        return (
-            f"{join_names(names)} were compared; none states standard deviations, so nothing says what "
-            "differences mean."
-        )
+        stated = any(one.sigmas for one in comparison.calibrations)
+        unsure = "no two estimated the same number" if stated else "none states standard deviations"
+        return f"{join_names(names)} were compared; {unsure}, so nothing says what differences mean."
     largest = max(item.largest for item in _judged(comparison) if np.isfinite(item.largest))
     return (
         f"{join_names(names)} agree: of {comparison.compared} differences the largest is {largest:.1f} sigma, "

@@ -157,6 +157,8 @@ class Apply(Command):
         units = reading.pop("units")
         units = None if units is None else Units.parse(units)
         output = self.output or default_folder(source.paths, "calibrated.csv")
+        if output.suffix.lower() in (".npz", ".mat", ".parquet"):
+            raise OptionError(f"{output}: samples are written as a CSV table. Name the file so, {output.stem}.csv.")
         terminal.progress("correcting the samples")
         rows = apply_files(
             imu, *tables, output=output, imu=name, units=units, temperature_c=self.temperature_c,

@@ -14,6 +14,7 @@ from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_ch
 from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
+from ...progress import tell_parts
 from ...recording import Floats, Integers, TriadSamples
 from ...results.result import Booleans, StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2
@@ -204,7 +205,8 @@ def choose_threshold(
     motion: RestStatistics, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
 ) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
     """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
-    trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in multipliers)
+    each = tell_parts("finding static intervals", multipliers, len(multipliers))
+    trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in each)
     best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
     return best, trials
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import RecordingError
+from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
 from ...recording.frames import Arrivals
 from ..images.image_pixels import (
@@ -226,7 +227,8 @@ def survey_topics(
     }
     tracks: dict[str, ImageTrack | ImuTrack | ThermometerTrack] = {**images, **samples, **warmth}
     try:
-        for record in bag.messages(tracks.keys()):
+        count = sum(track.topic.count for track in tracks.values())
+        for record in tell_parts(f"reading {bag.name}", bag.messages(tracks.keys()), count):
             tracks[record.channel.topic].add(record.data, record.received_ns)
         for track in samples.values():
             track.finish()

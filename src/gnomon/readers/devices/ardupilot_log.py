@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...progress import tell_read
 from ...recording import Floats, Integers, TemperatureSamples
 from ..files import file_source, first_bytes
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
 
 _START = b"\xa3\x95"
-_FMT, _FMT_BYTES = 128, 89
+_FMT, _FMT_BYTES, _TELL_BYTES = 128, 89, 1 << 20
 _TYPES = {
     "a": ("<i2", 32), "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1),
     "I": ("<u4", 1), "f": ("<f4", 1), "g": ("<f2", 1), "d": ("<f8", 1), "n": ("S4", 1), "N": ("S16", 1),
@@ -87,7 +88,7 @@ def read_dataflash(path: Path) -> DeviceLog:
         If the log holds no accelerometer and no gyroscope.
     """
     data, notes = path.read_bytes(), list[str]()
-    messages, skipped = _binary(data) if data.startswith(_START) else (_text(data), 0)
+    messages, skipped = _binary(data, path.name) if data.startswith(_START) else (_text(data), 0)
     if skipped:
         notes.append(f"{path.name}: {skipped} bytes are damaged and were left out.")
     triads: dict[str, StampedTriad] = {}
@@ -107,13 +108,16 @@ def read_dataflash(path: Path) -> DeviceLog:
     return DeviceLog(**triads, temperature=temperature, sources=(file_source(path),), notes=tuple(notes))
 
 
-def _binary(data: bytes) -> tuple[dict[str, _Messages], int]:
+def _binary(data: bytes, name: str) -> tuple[dict[str, _Messages], int]:
     """Return the messages that are wanted, by name, and how many bytes were no message."""
     sizes: dict[int, int] = {_FMT: _FMT_BYTES}
     wanted: dict[int, _Messages] = {}
     found: dict[str, _Messages] = {}
-    place, skipped, total = 0, 0, len(data)
+    place, skipped, told, total = 0, 0, 0, len(data)
     while place + 3 <= total:
+        if place >= told:
+            tell_read(name, place, total)
+            told = place + _TELL_BYTES
         size = sizes.get(data[place + 2], 0) if data[place : place + 2] == _START else 0
         if not size or place + size > total:
             following = data.find(_START, place + 1)
@@ -124,10 +128,10 @@ def _binary(data: bytes) -> tuple[dict[str, _Messages], int]:
         kind = data[place + 2]
         if kind == _FMT:
             body = data[place + 3 : place + size]
-            name, formats, columns = (_text_of(part) for part in (body[2:6], body[6:22], body[22:86]))
+            label, formats, columns = (_text_of(part) for part in (body[2:6], body[6:22], body[22:86]))
             sizes[body[0]] = body[1]
-            if name in _WANTED and body[0] not in wanted and _size(formats) == body[1] - 3:
-                wanted[body[0]] = found[name] = _Messages(columns.split(","), formats)
+            if label in _WANTED and body[0] not in wanted and _size(formats) == body[1] - 3:
+                wanted[body[0]] = found[label] = _Messages(columns.split(","), formats)
         elif (kept := wanted.get(kind)) is not None:
             kept.raw.append(data[place + 3 : place + size])
         place += size

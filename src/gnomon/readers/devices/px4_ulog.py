@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...progress import tell_read
 from ...recording import Integers, TemperatureSamples
 from ..files import file_source, first_bytes
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
 
 MAGIC = b"ULog\x01\x12\x35"
-_HEADER_BYTES = 16
+_HEADER_BYTES, _TELL_BYTES = 16, 1 << 20
 _TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
     "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "?", "char": "S1",
@@ -95,8 +96,11 @@ class _Log:
 
     def _scan(self) -> None:
         data, total = self.data, len(self.data)
-        header = struct.Struct("<HB")
+        header, told = struct.Struct("<HB"), 0
         while self.end + 3 <= total:
+            if self.end >= told:
+                tell_read(self.name, self.end, total)
+                told = self.end + _TELL_BYTES
             size, kind = header.unpack_from(data, self.end)
             begin = self.end + 3
             if begin + size > total:

@@ -16,7 +16,10 @@ from .image_pixels import bit_depth, decode_picture, largest_in_picture
 
 _HEAD = 4096
 _TEXT_MAGIC = b"YUV4MPEG2"  # the only video that begins as text
-_NO_VIDEO = (b"\x1f\x8b", b"PK\x03\x04", b"#ROSBAG", b"\x89MCAP", b"SQLite format 3", b"\x93NUMPY", b"%PDF")
+_NO_VIDEO = (
+    *(b"\x1f\x8b", b"PK\x03\x04", b"#ROSBAG", b"\x89MCAP", b"SQLite format 3", b"\x93NUMPY", b"%PDF", b"MATLAB 5.0"),
+    *(b"ULog\x01", b"\xa3\x95\x80", b"DEVC"),  # of autopilots and a GoPro: to some a stream of MPEG-4
+)
 _IMAGES = ("image2", "_pipe")
 
 

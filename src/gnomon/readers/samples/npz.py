@@ -22,6 +22,7 @@ Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g
 import zipfile
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +34,14 @@ from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
 from ...recording import Floats, Integers, TemperatureSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
-from ..files import ZIP_DAMAGE, refuse_false_arrays
+from ..files import ZIP_DAMAGE, ToldFile, refuse_false_arrays
 from .column_names import column_name
 from .stamps import guess_time_unit, to_ns
 from .table import SampleTable, Triad, temperature_samples, uniform_stamps
 
 _STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts")
 _PREFIXES = ("t", "time", "timestamp", "ts")
+_BUFFER_BYTES = 1 << 20
 
 
 @value_class(eq=True)
@@ -97,7 +99,7 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[SampleTable]]:
     try:
         with path.open("rb") as file, zipfile.ZipFile(file) as packed:
             refuse_false_arrays(packed, path.name)
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with BufferedReader(ToldFile(path), _BUFFER_BYTES) as file, np.load(file, allow_pickle=False) as archive:
             wanted = {"accelerometer", "gyroscope", "magnetometer"}
             names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] in wanted})
             found = {} if names else sensor_arrays(archive.files)

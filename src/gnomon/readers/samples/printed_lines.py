@@ -17,12 +17,13 @@ from itertools import pairwise
 
 from ...errors import RecordingError
 from ...frozen import value_class
+from ...progress import tell_read
 from ...recording import Source
 from ..files import TextFile
 from .column_names import OTHER, column_name, time_columns, unit_of
 from .text_table import column_rises, sniff_layout
 
-PRINTED_HEAD_BYTES, _HEAD_LINES, _LONGEST_LINE = 65_536, 200, 2000
+PRINTED_HEAD_BYTES, _HEAD_LINES, _LONGEST_LINE, _BLOCK_BYTES = 65_536, 200, 2000, 1 << 20
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|NaN|NAN|inf|INF))(?![\w.]*(?:\][ \t]*)?[:=])"
 _TOKEN = re.compile(rb"(?<![\w.^+/-])" + _NUMBER)
 _LABELLED = re.compile(rb"^[\[(]|[A-Za-z\])\"'][ \t]*(?:[:=]|[\[(][ \t]*(?:[-+.\d]|$))")
@@ -87,7 +88,7 @@ def lines_as_table(file: TextFile) -> TextFile:
     if form is None:
         return file
     rewriter = LineRewriter(form)
-    data = b"".join(rewriter.rows(_lines(file.data)))
+    data = b"".join(rewriter.rows(_lines(file.data, file.name)))
     return replace(file, data=data, header=form.header, notes=rewriter.notes(file.name))
 
 
@@ -131,8 +132,11 @@ def _text(lines: list[bytes]) -> TextFile:
     return TextFile(name="", data=b"\n".join(lines) + b"\n", source=Source(name="", sha256=""))
 
 
-def _lines(data: bytes) -> Iterator[bytes]:
-    yield from io.BytesIO(data)
+def _lines(data: bytes, name: str) -> Iterator[bytes]:
+    file = io.BytesIO(data)
+    while some := file.readlines(_BLOCK_BYTES):
+        yield from some
+        tell_read(f"the lines of {name}", file.tell(), len(data))
 
 
 def _without_clock(line: bytes) -> tuple["re.Match[bytes] | None", bytes]:

@@ -308,8 +308,11 @@ class Panel:
     def _written(self, text: PanelText) -> str:
         """Return a text as an element; one of space keeps the point that it belongs to."""
         at = float(self.x.places(np.array(text.x))), float(self.y.places(np.array(text.y)))
-        element = svg.text_element(text.text, at[0] + text.offset[0], at[1] + text.offset[1], text.style)
-        if text.depth is not None:
+        if text.depth is None:
+            element = svg.text_element(text.text, at[0] + text.offset[0], at[1] + text.offset[1], text.style)
+        else:
+            shift = text.offset[0] / text.style.size, text.offset[1] / text.style.size
+            element = svg.text_element(text.text, *at, text.style, shift=shift)
             place = " ".join(map(svg.short_number, (*at, float(self._depth(np.array(text.depth))))))
             element = f'<g data-place="{place}">{element}</g>'
         return f'<g class="fine">{element}</g>' if text.fine else element

@@ -112,7 +112,9 @@ def _label(panel: Panel, bodies: list[_Body], links: list[Floats], lines: Floats
         middles = [start + share * (stop - start) for share in (0.5, 0.6, 0.4, 0.7, 0.3, 0.8, 0.2)]
         place = places.take_free(far, np.array([middle + side * aside for middle in middles for side in (1, -1)]))
         if place is not None:
-            _write(panel, far, _seen(link[0]), place - start)
+            share = float((place - start) @ (stop - start) / np.sum((stop - start) ** 2))
+            at = start + share * (stop - start)
+            _write(panel, far, _seen(link[0] + share * (link[1] - link[0])), place - at)
 
 
 def _write(panel: Panel, text: str, at: Floats, offset: Floats, *, color: str = "muted", bold: bool = False) -> None:

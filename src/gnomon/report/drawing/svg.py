@@ -123,10 +123,16 @@ class TextStyle:
         return f"--size:{self.size:g}px{anchor};fill:{color_variable(self.color)}{weight}"
 
 
-def text_element(text: str, x: float, y: float, style: TextStyle | None = None) -> str:
-    """Return a line of text with its baseline at y; without a style it has that of its group."""
+def text_element(
+    text: str, x: float, y: float, style: TextStyle | None = None, *, shift: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """Return a line of text with its baseline at y; without a style it has that of its group.
+
+    A shift, in heights of the letters, grows with them.
+    """
     from markupsafe import escape
 
     drawable = text.encode("utf-8", "backslashreplace").decode()  # bytes that were no text, shown as escapes
     styled = f' style="{style.css()}"' if style else ""
-    return f'<text{styled} x="{short_number(x)}" y="{short_number(y)}">{escape(drawable)}</text>'
+    moved = f' dx="{shift[0]:.3g}em" dy="{shift[1]:.3g}em"' if any(shift) else ""
+    return f'<text{styled} x="{short_number(x)}" y="{short_number(y)}"{moved}>{escape(drawable)}</text>'
