@@ -85,6 +85,7 @@ def problem(
                 R_cam_imu=rotation_from_rotvec(0.05 * rng.normal(size=3)) @ R_cam_imu,
                 p_cam_imu=0.05 * rng.normal(size=3),
                 time_shift_s=0.01 * (i + 1),
+                exposure_s2=2e-3 * (i - 0.5),
                 camera=replace(lens(*model), line_delay_s=3e-5 * rolling),
             )
             for i, model in enumerate(models)

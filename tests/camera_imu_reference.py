@@ -207,7 +207,7 @@ class Variants:
             ],
             axis=1,
         )
-        return R, p, shift, delay, own
+        return R, p, shift, delay, entry.exposure_s2 + self.step(f"{name}.exposure_squared", 1), own
 
 
 class Splines:
@@ -228,10 +228,11 @@ class Splines:
         first = np.array([segment.first for segment in grid.segments])[which] + number.astype(int)
         return which, first, (t_s - starts[which]) / grid.spacing_s - number, inside
 
-    def motion(self, t_s):
-        """Return R, omega, p and its acceleration at instants (v, m)."""
+    def motion(self, t_s, exposure_s2=0.0):
+        """Return R, omega, p and its acceleration at instants (v, m); R and p of what is mean over an exposure."""
         which, _, _, inside = self.at(t_s)
         value, rate, curvature = self.pose(t_s)
+        value = value + curvature * np.reshape(exposure_s2, (-1, 1, 1)) / 24
         R, J = turned(value[..., :3])
         references = np.array([segment.R_reference for segment in self.grid.segments])[which]
         return references @ R, times(J, rate[..., :3]), value[..., 3:], curvature[..., 3:], inside
@@ -321,8 +322,8 @@ def inertial(data, splines, varied, noise):
 
 def visual(data, used, splines, varied, noise):
     exposures = data.exposures
-    R_cam_imu, p_cam_imu, shift, delay, own = varied.camera(data.camera)
-    R, _, p, _, inside = splines.motion(data.t_s + shift + exposures.delay_rows * delay)
+    R_cam_imu, p_cam_imu, shift, delay, exposure_s2, own = varied.camera(data.camera)
+    R, _, p, _, inside = splines.motion(data.t_s + shift + exposures.delay_rows * delay, exposure_s2)
     of = exposures.of_corner
     R, p = R[:, of], p[:, of]
     body = times(np.swapaxes(R, -1, -2), varied.scale()[:, :, None] * varied.corners(exposures) - p)

@@ -56,6 +56,11 @@ def added_findings(
         findings += [_lever_arms(f"imu{i}", imu) for i, imu in enumerate(found.imus)]
     if "intrinsics" in added:
         findings += [_lens(*pair, board_told) for pair in zip(start.cameras, found.cameras, strict=True)]
+    if "exposure" in added:
+        findings += [
+            make_finding("exposure-found", name=entry.name, mean_s=max(entry.exposure_s2, 0.0) ** 0.5)
+            for entry in found.cameras
+        ]
     if "board" in added and found.board is not None:
         findings.append(_board(found.board.offsets))
     return findings

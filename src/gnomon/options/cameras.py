@@ -72,7 +72,7 @@ class CameraImuOptions:
     """Model: that of the IMU is ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
     (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of Krebs (full); or full with lever
     arms of the accelerometers, and what else the recording proves to be there, a rolling shutter's line delay, a delay
-    of the accelerometer, errors of the board and of the lens (auto).
+    of the accelerometer, the exposure of images, errors of the board and of the lens (auto).
     """
 
     gravity: float | None = None

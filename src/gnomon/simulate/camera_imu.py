@@ -256,6 +256,7 @@ def _truth_parameters(
             f"{name}.T_cam_imu.translation": camera.T_cam_imu[:3, 3],
             f"{name}.time_shift_cam_imu": np.array(camera.time_shift_cam_imu),
             f"{name}.line_delay": np.array(camera.camera.line_delay_s),
+            f"{name}.exposure_squared": np.array(0.0),  # of corners; images have their own
             f"{name}.intrinsics": camera.camera.intrinsics,
             f"{name}.distortion_coeffs": camera.camera.distortion_coeffs,
         }

@@ -1,5 +1,7 @@
 """What the model took up by itself is told, and where something else may look the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,3 +41,11 @@ def test_a_lens_is_sure_only_where_the_board_can_be_told_from_it(focal_px, board
     (finding,) = added_findings(("intrinsics",), parameters(460.0), parameters(focal_px), board_told=board_told)
     assert (finding.code, finding.severity) == ("lens-found", severity)
     assert cure in finding.cure
+
+
+def test_how_long_images_were_exposed_is_told():
+    found = parameters(460.0)
+    found = replace(found, cameras=(replace(found.cameras[0], exposure_s2=1e-4),))
+    (finding,) = added_findings(("exposure",), parameters(460.0), found, board_told=True)
+    assert (finding.code, finding.severity, finding.subject) == ("exposure-found", "info", "cam0.exposure_squared")
+    assert "What cam0 shows is a mean over 10 ms" in finding.message

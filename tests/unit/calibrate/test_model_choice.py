@@ -65,3 +65,17 @@ def test_what_a_person_says_is_done() -> None:
     assert not first.used
     assert first.gain > first.needed
     assert second.used
+
+
+@pytest.mark.parametrize(("effect", "least", "most"), [(0.0, 0, 4), (0.2, 90, 100), (-0.4, 0, 0)])
+def test_one_effect_is_proved_by_clusters_that_pull_it_alike(effect: float, least: int, most: int) -> None:
+    """An effect of five sigmas, of which the gains' signs tell no more than every other time; not a negative one."""
+    rng, used = np.random.default_rng(4), {True: 0, False: 0}
+    truth = np.array([1.0, -1.0, effect])
+    for _ in range(100):
+        sums = _sums(rng, truth, truth)
+        for alike in used:
+            one = CandidateBlock(name="exposure", columns=np.arange(2, 3), away=-truth[2:], alike=alike)
+            used[alike] += model_steps(sums, np.arange(2), [one])[0].used
+    assert least <= used[True] <= most
+    assert used[False] > 90 if effect < 0 else used[False] <= max(used[True], 60)

@@ -268,3 +268,21 @@ def test_stamps_of_simulated_frames_are_on_the_path_s_clock():
     frames = simulation.recording.cameras["cam0"]
     shift_s = float(simulation.truth_parameters["cam0.time_shift_cam_imu"])
     np.testing.assert_allclose((frames.t_ns - START_NS) * 1e-9 + shift_s, seen_s, atol=1e-8)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_bases_over_an_exposure_are_their_means(order):
+    """What is left is of the fourth power of the exposure, and nothing of cubic polynomials."""
+    trajectory = random_trajectory(order)
+    t_s = np.array([10.23, 10.55])  # the exposures lie within a span
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    places = trajectory.grid.places(t_s)
+    for name in ("phi", "phi_rate", "position", "velocity"):
+        left = []
+        for exposure_s in (0.04, 0.02):
+            several = [getattr(at(trajectory, t_s + exposure_s / 2 * node), name) for node in nodes]
+            bases = Bases.at(places, trajectory.grid, exposure_s**2)
+            mean = getattr(trajectory.motion(places, bases), name)
+            assert np.abs(mean - getattr(at(trajectory, t_s), name)).max() > 1e-4
+            left.append(np.abs(mean - np.tensordot(weights / 2, several, 1)).max())
+        assert left[0] < 1e-12 or left[1] < left[0] / 15.5

@@ -19,6 +19,7 @@ from ...estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, li
 from ...estimate.camera_imu.choices import (
     ARMS,
     DELAY,
+    EXPOSURE,
     EXTRAS,
     LADDER,
     estimation_choices,
@@ -140,7 +141,7 @@ _BOARD_SHARE, _LENS_SHARE = 0.02, 0.005
 Where it is gnomon's own, whose bias is none, a lens need only be certain."""
 
 _LENS: tuple[str, ...] = ("intrinsics", "k3")
-_PROMISING = 4.0
+_HIDING, _PROMISING = (DELAY, EXPOSURE), 4.0
 """Standard deviations of its gain, from which on a step is tried in the larger model: what is left out of a model lasts
 and makes clusters of time long and few, by which nothing can be proved."""
 
@@ -184,7 +185,8 @@ def candidate_blocks(start: RigParameters) -> tuple[str, ...]:
         for block in LADDER["intrinsics"]
         if block == "intrinsics" or len(entry.camera.distortion_coeffs)
     ]
-    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays)
+    exposures = [f"{entry.name}.exposure_squared" for entry in start.cameras]
+    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays, *exposures)
 
 
 def select_model(
@@ -222,8 +224,7 @@ def select_model(
         asked = _asked(steps, stated, promising=True)
     judged: SelectedModel | None = None
     inside: tuple[str, ...] = ()
-    failed: dict[str, str] = {}
-    rounds = _ROUNDS
+    asked, failed, rounds = _in_turn(asked, inside), dict[str, str](), _ROUNDS
     while rounds and asked != inside:
         stage = f"estimating along: {', '.join(asked) or 'none of them'}"
         tell(Step(stage, 0, 100))
@@ -245,7 +246,7 @@ def select_model(
             steps |= {step.name: step for step in judged.steps}
             if _BOARD not in stated and set(_LENS) & set(asked):
                 steps[_BOARD] = _board_step(judged.solution)
-        asked = tuple(name for name in _asked(steps, stated) if name not in failed)
+        asked = _in_turn(tuple(name for name in _asked(steps, stated) if name not in failed), inside)
     told = [
         replace(step, forced=options.model != "auto" or step.name not in LADDER or step.name in EXTRAS)
         if step.name in stated
@@ -263,6 +264,12 @@ def select_model(
     )
 
 
+def _in_turn(asked: tuple[str, ...], inside: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the steps to take next: the exposure last, for what is left out of lens and board may look like one."""
+    others = tuple(name for name in asked if name != EXPOSURE)
+    return asked if EXPOSURE in inside or set(others) <= set(inside) else others
+
+
 def _least(steps: Mapping[str, ModelStep], asked: Sequence[str]) -> str:
     """Return the step that proves itself least."""
     return min(asked, key=lambda name: steps[name].gain - steps[name].needed)
@@ -275,7 +282,7 @@ def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool], *, promis
         for name in (*EXTRAS, _BOARD)
         if name not in stated
         and (step := steps.get(name)) is not None
-        and (step.used or (promising and name == DELAY and step.gain > _PROMISING * step.gain_sigma > 0))
+        and (step.used or (promising and name in _HIDING and step.gain > _PROMISING * step.gain_sigma > 0))
     )
 
 

@@ -154,7 +154,7 @@ def _scalars(name: str, option: str, all_blocks: tuple[ParameterBlock, ...], sta
     return found
 
 
-ARMS, DELAY = "lever arms", "accelerometer delay"
+ARMS, DELAY, EXPOSURE = "lever arms", "accelerometer delay", "exposure"
 
 LADDER = {
     "scale": ("S_a", "S_g"),
@@ -162,13 +162,14 @@ LADDER = {
     "g-sensitivity": ("B_g",),
     ARMS: ("lever_arms",),
     DELAY: ("accelerometer_shift",),
+    EXPOSURE: ("exposure_squared",),
     "intrinsics": ("intrinsics", "distortion_coeffs"),
     "k3": (),
 }
 """Step -> blocks, of every sensor that has them; k3 is the last coefficient of radtan5. An accelerometer that has
 timestamps of its own has a delay in every model."""
 
-EXTRAS = (DELAY, "intrinsics", "k3")
+EXTRAS = (DELAY, EXPOSURE, "intrinsics", "k3")
 """Steps beyond the model of the IMU."""
 
 _CHANGES = 3
@@ -198,6 +199,7 @@ def evaluate_nested_models(
             away=_away(layout, parameters)[columns],
             forced=forced.get(name),
             least=least.get(name, 0.0),
+            alike=name == EXPOSURE,
         )
         for name in LADDER
         if len(columns := step_columns(layout, name))

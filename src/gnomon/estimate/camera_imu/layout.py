@@ -184,6 +184,7 @@ def block_coordinates(name: str, parameters: RigParameters, start: RigParameters
         "T_cam_imu.translation": entry.p_cam_imu,
         "time_shift_cam_imu": entry.time_shift_s,
         "line_delay": lens.line_delay_s,
+        "exposure_squared": entry.exposure_s2,
         "intrinsics": lens.intrinsics,
         "distortion_coeffs": lens.distortion_coeffs,
     }
@@ -254,6 +255,8 @@ def _moved_camera(rest: str, entry: CameraParameters, delta: Floats) -> CameraPa
         return replace(entry, p_cam_imu=entry.p_cam_imu + delta)
     if rest == "time_shift_cam_imu":
         return replace(entry, time_shift_s=entry.time_shift_s + float(delta[0]))
+    if rest == "exposure_squared":
+        return replace(entry, exposure_s2=entry.exposure_s2 + float(delta[0]))
     if rest == "line_delay":
         return replace(entry, camera=replace(lens, line_delay_s=lens.line_delay_s + float(delta[0])))
     vector, count = lens.parameters.copy(), len(lens.intrinsics)

@@ -124,6 +124,7 @@ class CameraParameters:
     time_shift_s : t_imu = t_cam + time_shift_s
     camera : lens, intrinsics and line delay
     lens_covariance : (k, k) of `camera.parameters` as it was known beforehand, or None
+    exposure_s2 : square of the time over which a corner's place is a mean, less that of the IMU's samples [s^2]
     """
 
     name: str
@@ -132,6 +133,7 @@ class CameraParameters:
     time_shift_s: float
     camera: Camera
     lens_covariance: Floats | None = None
+    exposure_s2: float = 0.0
 
     def with_k3(self) -> "CameraParameters":
         """Return the camera with a third radial coefficient, 0 and unknown so far, where its lens is radtan."""

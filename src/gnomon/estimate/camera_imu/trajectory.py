@@ -131,14 +131,17 @@ class Bases:
     acceleration: Floats
 
     @classmethod
-    def at(cls, places: Places, grid: KnotGrid) -> "Bases":
-        """Return the basis functions at places on a grid."""
+    def at(cls, places: Places, grid: KnotGrid, exposure_s2: float = 0.0) -> "Bases":
+        """Return the basis functions at places on a grid; values and rates are means over an exposure, squared [s^2].
+
+        The mean of a function over an exposure e about t is f(t) + e^2 / 24 f''(t) + O(e^4), by Taylor's theorem.
+        """
         k, dt = grid.order, grid.spacing_s
-        return cls(
-            value=bspline_basis(k, places.u),
-            rate=bspline_basis(k, places.u, 1) / dt,
-            acceleration=bspline_basis(k, places.u, 2) / dt**2,
-        )
+        value, rate, acceleration = (bspline_basis(k, places.u, n) / dt**n for n in range(3))
+        if exposure_s2:
+            value += exposure_s2 / 24 * acceleration
+            rate += exposure_s2 / 24 * bspline_basis(k, places.u, 3) / dt**3
+        return cls(value=value, rate=rate, acceleration=acceleration)
 
 
 @value_class

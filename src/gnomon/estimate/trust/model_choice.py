@@ -37,6 +37,8 @@ class CandidateBlock:
     away : (k,) step from the present values to those that a model without the block holds them at
     forced : in the model whatever the recording says (True), never (False), or by evidence (None)
     least : gain of the log-likelihood that is needed, however certain it is
+    alike : whether its columns are one effect that only makes them larger: clusters that pull them so prove it, also
+        where they are too few for their gains to; pulled the other way it brings nothing
     """
 
     name: str
@@ -44,6 +46,7 @@ class CandidateBlock:
     away: Floats
     forced: bool | None = None
     least: float = 0.0
+    alike: bool = False
 
 
 @value_class
@@ -122,8 +125,12 @@ class _Bench:
         """Return what a candidate brings to a model."""
         without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
-        needed = max(self._by_chance(gains), _LEAST_GAIN, candidate.least)
-        gain = float(gains.sum())
+        gain, needed = float(gains.sum()), self._by_chance(gains)
+        if candidate.alike:
+            pulls = self._pulls(candidate, kept, without)
+            gain = gain if pulls.sum() > 0 else min(gain, 0.0)
+            needed = 0.0 if pulls.sum() > self._by_chance(pulls) else needed
+        needed = max(needed, _LEAST_GAIN, candidate.least)
         return CandidateStep(
             candidate=candidate,
             gain=gain,
@@ -135,11 +142,19 @@ class _Bench:
         )
 
     def _by_chance(self, gains: Floats) -> float:
-        """Return what the sum of gains (c,) exceeds by chance alone, were all their signs random."""
+        """Return what the sum of gains, or of pulls, (c,) exceeds by chance alone, were all their signs random."""
         count = self._signs.shape[1]
         own = np.add.reduceat(gains, np.arange(count) * len(gains) // count) if len(gains) else gains
         sums = [self._signs[k : k + _TOGETHER] @ own for k in range(0, _DRAWS, _TOGETHER)]
         return float(np.quantile(2 * np.concatenate(sums) - own.sum(), self._level))
+
+    def _pulls(self, candidate: CandidateBlock, kept: Sequence[CandidateBlock], without: "_Model") -> Floats:
+        """Return how clusters (c,) pull a candidate's columns from a model without it, whose own columns follow."""
+        moved, _ = self._sums.moved(without.estimate)
+        free = np.concatenate([self._always, *(other.columns for other in kept)]).astype(np.int64)
+        own = candidate.columns
+        follow = whole_estimate(moved.of_parameters(free))[1] @ moved.total[np.ix_(free, own)].sum(axis=1)
+        return np.asarray(moved.pull[:, own].sum(axis=1) - moved.pull[:, free] @ follow, dtype=np.float64)
 
     def _model(self, kept: Sequence[CandidateBlock]) -> "_Model":
         names = frozenset(candidate.name for candidate in kept)

@@ -210,7 +210,7 @@ def counting_corners(solution: Solution) -> list[CountingCorners]:
         exposures, entry = data.exposures, parameters.cameras[data.camera]
         assert exposures.point is not None
         places = trajectory.grid.places(exposure_times(data, entry))
-        motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+        motion = trajectory.motion(places, Bases.at(places, trajectory.grid, entry.exposure_s2))
         R, p = board_in_camera(motion, entry)
         where = exposures.points
         if parameters.board is not None:

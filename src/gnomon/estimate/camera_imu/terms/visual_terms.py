@@ -8,7 +8,8 @@ twist (tau_r, x x tau_r) about the camera's origin, and
     moving the body by dp                          tau_t = -R_cam_imu R' dp,
     turning the extrinsics by d                    tau_r = R_cam_imu d,
     moving the extrinsics by dx                    tau_t = dx,
-    exposing later by dt                           the body turns by omega dt and moves by v dt.
+    exposing later by dt                           the body turns by omega dt and moves by v dt,
+    exposing for longer, e^2 by ds                 its mean turns by alpha ds / 24 and moves by a ds / 24 (`Bases.at`).
 """
 
 from dataclasses import replace
@@ -93,7 +94,7 @@ class VisualTerms:
         grid = trajectory.grid
         self._entry = entry = parameters.cameras[data.camera]
         places = grid.places(exposure_times(data, entry))
-        self._bases = Bases.at(places, grid)
+        self._bases = Bases.at(places, grid, entry.exposure_s2)
         self._motion = trajectory.motion(places, self._bases)
         own, scale_column = _own_columns(layout, entry)
         exposures, offsets = data.exposures, None
@@ -249,15 +250,19 @@ class _Maps:
 
 def _maps(blocks: dict[str, slice], data: VisualData, entry: CameraParameters, motion: MotionState) -> _Maps:
     name, R, x = entry.name, entry.R_cam_imu, entry.p_cam_imu
-    shift, delay = f"{name}.time_shift_cam_imu", f"{name}.line_delay"
-    moving = np.zeros((0, TWIST, 1))
+    shift, delay, exposure = (f"{name}.{rest}" for rest in ("time_shift_cam_imu", "line_delay", "exposure_squared"))
+    moving = blurring = np.zeros((0, TWIST, 1))
     if shift in blocks or delay in blocks:
         moving = _body_twists(entry, motion, motion.omega, motion.velocity)[:, :, None]
+    if exposure in blocks:
+        turn = np.matmul(motion.phi_jacobian, motion.phi_acceleration[:, :, None])[:, :, 0]
+        blurring = _body_twists(entry, motion, turn / 24, motion.acceleration / 24)[:, :, None]
     twists = {
         f"{name}.T_cam_imu.rotation": np.vstack([R, skew(x) @ R])[None],
         f"{name}.T_cam_imu.translation": np.vstack([np.zeros((3, 3)), np.eye(3)])[None],
         shift: moving,
         delay: moving * (data.exposures.delay_rows if len(moving) else np.zeros(0))[:, None, None],
+        exposure: blurring,
     }
     own = [block for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs", "target.scale") if block in blocks]
     ends = np.cumsum([0, *(blocks[block].stop - blocks[block].start for block in own)]).tolist()
