@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, Severity
 from ..formats.shared.losses import prior_held_names
 from ..recording import Floats
 from ..results.calibration import Calibration, calibration_parameters, element_names
@@ -83,15 +83,20 @@ def held_lines(calibration: Calibration) -> Iterator[str]:
         yield from _paragraph(words, "  not measured       ", " " * 21)
 
 
-def finding_lines(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
+def finding_lines(
+    findings: Iterable[Finding], *, good: bool = False, severity: Severity | None = None
+) -> Iterator[str]:
     """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted.
 
-    Assumptions were said while reading; what follows from another finding is named with it.
+    Assumptions were said while reading; what follows from another finding is named with it. Only those of one severity
+    where it is given.
     """
     marks = {"problem": "[!!]", "warning": "[! ]", "info": "[i ]"} | ({"good": "[ok]"} if good else {})
     findings = list(findings)
     for finding in findings:
         if finding.severity not in marks or finding.code == "assumed" or finding.follows_from:
+            continue
+        if severity not in {None, finding.severity}:
             continue
         found = finding.message if finding.severity == "good" else f"{finding.message} ({finding.label})"
         yield from _paragraph(found, f"  {marks[finding.severity]} ", " " * 7)

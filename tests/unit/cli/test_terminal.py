@@ -150,3 +150,5 @@ def test_what_follows_from_a_finding_is_named_with_it() -> None:
     effects = [replace(cause, code=code, severity="info", message="Told?", follows_from="cause") for code in "ab"]
     lines = list(finding_lines([cause, *effects]))
     assert [line.strip() for line in lines] == ["[! ] A cause. (cause)", "So.", "From it follow: a, b.", "-> Do."]
+    assert list(finding_lines([cause, *effects], severity="warning")) == lines
+    assert not list(finding_lines([cause, *effects], severity="info"))

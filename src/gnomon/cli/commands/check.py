@@ -13,9 +13,11 @@ from ..terminal import Terminal
 
 if TYPE_CHECKING:
     from ...assess.checks.rig_doctor import RigSummary
-    from ...findings import Finding
+    from ...findings import Finding, Severity
     from ...recording import ImuSamples, Integers, Recording, TriadSamples
     from ...recording.frames import ImageRecording
+
+_STYLES: "dict[Severity, str]" = {"problem": "red", "warning": "yellow", "info": "", "good": "green"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,9 +246,10 @@ def _print_check(
                 f"{name} {triad:<13} {len(samples)} samples, {samples.duration_s:.1f} s at {samples.rate_hz:.6g} Hz, "
                 f"in {samples.unit}{topic}"
             )
-    for severity, style in {"problem": "red", "warning": "yellow", "info": "", "good": "green"}.items():
-        if chosen := [one for one in findings if one.severity == severity and (severity, one.code) != ("good", "rate")]:
-            terminal.print("\n" + "\n".join(finding_lines(chosen, good=True)), style)
+    told = [one for one in findings if (one.severity, one.code) != ("good", "rate")]
+    for severity, style in _STYLES.items():
+        if lines := list(finding_lines(told, good=True, severity=severity)):
+            terminal.print("\n" + "\n".join(lines), style)
     if following and code == USABLE:
         terminal.print("")
         terminal.propose(*following)
