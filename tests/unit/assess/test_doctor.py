@@ -180,6 +180,9 @@ def test_constant_signal_and_axis() -> None:
     values[:, 1] = 0
     found = findings(replace(samples, accelerometer=replace(samples.accelerometer, values=values)))
     assert "axis y never changes" in found["axis-constant"].message
+    values[:, 1] = values[:, 0]
+    found = findings(replace(samples, accelerometer=replace(samples.accelerometer, values=values)))
+    assert "axes x and y read the same" in found["axis-constant"].message
 
 
 def test_stuck_and_repeated_samples() -> None:

@@ -277,9 +277,13 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
             )
         ]
     findings: list[Finding] = []
-    if still.any():
-        axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
-        findings.append(make_finding("axis-constant", label=label, axes=axes))
+    copied = [
+        k for k in range(3) if high[k] == high[k - 1] and np.array_equal(samples.values[:, k], samples.values[:, k - 1])
+    ]
+    if still.any() or copied:
+        which = np.flatnonzero(still) if still.any() else sorted({axis % 3 for k in copied for axis in (k, k - 1)})
+        axes, case = " and ".join("xyz"[axis] for axis in which), "" if still.any() else "copied"
+        findings.append(make_finding("axis-constant", label=label, axes=axes, case=case))
     findings += _isolated(samples, label)
     findings += _saturation(samples, label)
     findings += _stuck(samples, label, beside) or _stuck_axis(samples, label)
