@@ -282,8 +282,8 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
     ]
     if still.any() or copied:
         which = np.flatnonzero(still) if still.any() else sorted({axis % 3 for k in copied for axis in (k, k - 1)})
-        axes, case = " and ".join("xyz"[axis] for axis in which), "" if still.any() else "copied"
-        findings.append(make_finding("axis-constant", label=label, axes=axes, case=case))
+        axes = " and ".join("xyz"[axis] for axis in which)
+        findings.append(make_finding("axis-constant", label=label, axes=axes, case="" if still.any() else "copied"))
     findings += _isolated(samples, label)
     findings += _saturation(samples, label)
     findings += _stuck(samples, label, beside) or _stuck_axis(samples, label)

@@ -12,7 +12,6 @@ from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
-from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..checks.protocol import left_out_rests_findings as rests_left_out
 from ..priors import NAMES, TRIADS
 from ..verdict import (
@@ -28,7 +27,7 @@ from ..verdict import (
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ACROSS_STEP, ImuFitSummary, interval_numbers
-from .triad_verdict import ATTITUDES, attitude_words, entry_sigmas, mean_scale, scale_and_angle
+from .triad_verdict import ATTITUDES, attitude_words, entry_sigmas, mean_scale, scale_and_angle, unit_findings
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
 _REST_S = 2.0
@@ -104,7 +103,6 @@ def _unseen_turn(evidence: ImuFitSummary) -> list[Finding]:
 
 _AXES = "xyz"
 _TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
-_UNIT_FACTOR = 1.5
 
 
 def assess_imu(
@@ -131,7 +129,8 @@ def assess_imu(
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),
         *axis_findings(evidence.estimate.gyroscope_sensitivity),
-        *unit_findings(evidence.estimate, evidence.accelerometer_unit, evidence.gyroscope_unit),
+        *unit_findings("accelerometer", evidence.estimate.accelerometer_sensitivity, evidence.accelerometer_unit),
+        *unit_findings("gyroscope", evidence.estimate.gyroscope_sensitivity, evidence.gyroscope_unit),
         *left_out_intervals_findings(diagnostics),
         *touched_findings(evidence),
         *gravity_findings(gravity),
@@ -295,34 +294,6 @@ def axis_findings(sensitivity: Floats) -> list[Finding]:
     elif np.array_equal(along, np.arange(3)):
         guess = "Most likely all signs of the gyroscope are flipped."
     return [make_finding("axes-differ/imu", words=", ".join(words), hand=hand, guess=guess)]
-
-
-def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit: str) -> list[Finding]:
-    """Warn where a triad's scales are far from what its unit says; counts say nothing."""
-    rows = (
-        ("accelerometer", accelerometer_unit, estimate.accelerometer_sensitivity, ACCELEROMETER_UNITS_M_S2),
-        ("gyroscope", gyroscope_unit, estimate.gyroscope_sensitivity, GYROSCOPE_UNITS_RAD_S),
-    )
-    findings: list[Finding] = []
-    for triad, unit, sensitivity, table in rows:
-        nominal = table.get(unit)
-        ratio = mean_scale(sensitivity) * (nominal or np.nan)
-        if not 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR and np.isfinite(ratio):
-            others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
-            fits = f" Its values look like {others[0]}." if others else ""
-            if triad == "gyroscope" and not others:
-                fits = f" So they would be if the sample rate were {ratio:.3g} times what the timestamps say."
-            findings.append(
-                make_finding(
-                    "unit/far",
-                    triad=triad,
-                    ratio=ratio,
-                    unit=unit,
-                    fits=fits,
-                    case="rate" if triad == "gyroscope" and not others else "",
-                )
-            )
-    return findings
 
 
 def left_out_intervals_findings(diagnostics: ImuDiagnostics) -> list[Finding]:

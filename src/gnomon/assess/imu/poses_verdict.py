@@ -10,7 +10,6 @@ from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ...results.parameters import element_names
 from ...results.sensor_diagnostics import PoseTable, TriadDiagnostics
-from ...units import ACCELEROMETER_UNITS_M_S2
 from ..verdict import grade_by_limits, gravity_findings, most_severe, uncertainty_summary, with_verdict
 from .imu_tables import root_mean_square
 from .pose_tables import PoseFitSummary, RestingGyroscope, gyroscope_findings
@@ -18,17 +17,16 @@ from .triad_verdict import (
     ATTITUDES,
     attitude_words,
     held_names,
-    mean_scale,
     redundancy_findings,
     relative_sigmas,
     scale_and_angle,
     scatter_findings,
     triad_trust_findings,
+    unit_findings,
 )
 
 _AXES = "xyz"
 _DETERMINED = 9  # attitudes
-_UNIT_FACTOR = 1.5
 _NAMED = 4
 _DRIFT_WARN = 0.03  # m/s^2
 _STEP_POSES = 3  # on either side of a step, for it to be more than poses that are off
@@ -57,7 +55,7 @@ def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Ass
         *_stated_findings(evidence),
         *_drift_findings(evidence.drift),
         *_step_findings(evidence.step, table.name),
-        *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
+        *unit_findings("accelerometer", evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
         *left_out_poses_findings(table, evidence.left_out),
         *gravity_findings(evidence.gravity),
         *gyroscope_findings(gyroscope, evidence.no_gyroscope),
@@ -91,7 +89,7 @@ def assess_published(
         *(finding for finding in noticed if finding.severity != "good"),
         _iteration_finding(fit),
         *(_holdout_findings(holdout.accelerometer_rms, gravity.value) if fit.converged else ()),
-        *_unit_findings(sensor.sensitivity, sensor.unit),
+        *unit_findings("accelerometer", sensor.sensitivity, sensor.unit),
         *left_out_poses_findings(table, left_out),
         *gravity_findings(gravity),
     ]
@@ -246,15 +244,6 @@ def _jig_finding(evidence: PoseFitSummary) -> Finding:
     off = float(np.degrees(np.arccos(np.clip(np.abs(rows[np.arange(3), along]), 0, 1)).max()))
     sigma = np.degrees(evidence.stated.sigma_rad)
     return make_finding("jig-alignment", words=", ".join(words), off=off, sigma=sigma)
-
-
-def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
-    """Warn where the scales are far from what the unit says; counts say nothing."""
-    nominal = ACCELEROMETER_UNITS_M_S2.get(unit)
-    ratio = mean_scale(sensitivity) * (nominal or np.nan)
-    if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
-        return []
-    return [make_finding("unit/poses", ratio=ratio, unit=unit)]
 
 
 def left_out_poses_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:

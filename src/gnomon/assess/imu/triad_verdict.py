@@ -1,6 +1,7 @@
 """What verdicts on calibrations from known magnitudes have in common: accelerometer poses, turntable, magnetometer."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -11,12 +12,14 @@ from ...estimate.trust.cluster_trust import RobustCovariance
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.result import Booleans
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..priors import NAMES, TRIADS
 from ..verdict import bias_findings, model_incomplete, parts_disagree
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude
 _FEW_REDUNDANT = 3
+_UNIT_FACTOR = 1.5
 
 
 ATTITUDES = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
@@ -67,6 +70,21 @@ def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
         common = given @ by_scale
         given = given - np.outer(common, common) / float(by_scale @ common)
     return entry_sigmas(fit.sensitivity, given)
+
+
+def unit_findings(triad: Literal["accelerometer", "gyroscope"], sensitivity: Floats, unit: str) -> list[Finding]:
+    """Warn where the scales are far from what the unit says; counts say nothing."""
+    table = ACCELEROMETER_UNITS_M_S2 if triad == "accelerometer" else GYROSCOPE_UNITS_RAD_S
+    nominal = table.get(unit)
+    ratio = mean_scale(sensitivity) * (nominal or np.nan)
+    if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
+        return []
+    others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
+    by_rate = triad == "gyroscope" and not others
+    fits = f" Its values look like {others[0]}." if others else ""
+    if by_rate:
+        fits = f" So they would be if the sample rate were {ratio:.3g} times what the timestamps say."
+    return [make_finding("unit/far", triad=triad, ratio=ratio, unit=unit, fits=fits, case="rate" if by_rate else "")]
 
 
 def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) -> list[Finding]:

@@ -16,7 +16,8 @@ from ...assess.imu.imu_tables import (
     uncalibrated_error,
     uncalibrated_rotation_error,
 )
-from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
+from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings
+from ...assess.imu.triad_verdict import unit_findings
 from ...assess.verdict import gravity_findings, with_verdict
 from ...detect.samples.noise import resting_noise
 from ...estimate.multiposition.magnitude import UPPER
@@ -218,7 +219,8 @@ def _assess(
         *(f for f in prepared.findings if f.severity in ("warning", "info")),
         *holdout_findings(holdout, gravity.value),
         *axis_findings(estimate.gyroscope_sensitivity),
-        *unit_findings(estimate, prepared.accelerometer.unit, prepared.gyroscope.unit),
+        *unit_findings("accelerometer", estimate.accelerometer_sensitivity, prepared.accelerometer.unit),
+        *unit_findings("gyroscope", estimate.gyroscope_sensitivity, prepared.gyroscope.unit),
         *gravity_findings(gravity),
         make_finding("preset", preset=preset),
         *convergence_findings(converged),

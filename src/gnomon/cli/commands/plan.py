@@ -19,6 +19,7 @@ _VERDICTS = {
     "warn": ("such a recording would not quite do", "bold yellow"),
     "fail": ("such a recording would not do", "bold red"),
 }
+_HELPS = 0.95  # of the worst quantity: what lowers it by less is not worth a word
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,9 +108,10 @@ def _print(result: "PlanResult", terminal: Terminal) -> None:
         limit = "" if need is None else f"{number_words(need.needed)}  {need.verdict}"
         terminal.print(f"  {offer.words:<38}{predicted:>16}{limit:>14}".rstrip())
     print_findings(calibration.assessment.findings, terminal)
-    if result.changes:
+    helpful = [change for change in result.changes if change.worst < _HELPS * change.before]
+    if helpful:
         terminal.print("\nwhat would help, the worst quantity over what is needed of it")
-    for change in result.changes:
+    for change in helpful:
         terminal.print(f"  {number_words(change.before)} -> {number_words(change.worst)}  {change.words}")
 
 
