@@ -64,10 +64,7 @@ def print_needs(calibration: "Calibration", terminal: Terminal) -> None:
         floor = number_words(need.floor) if need.floor else ""
         terminal.print(f"  {need.block:<38}{number_words(need.sigma):>9}{floor:>10}{limit:>15}  {need.verdict}")
     if floors:
-        terminal.print(
-            "  * from one recording to the next, as is usual (turn-on, temperature, mounting): one\n"
-            "    recording cannot know it. It counts, but for biases, which every use has to follow."
-        )
+        terminal.print("  * usual from one recording to the next (turn-on, mounting); counted but for biases")
     terminal.print("")
 
 

@@ -57,7 +57,7 @@ def gravity_lines(calibration: Calibration) -> Iterator[str]:
 
 
 def trust_lines(note: UncertaintySummary) -> Iterator[str]:
-    """Yield lines on where the standard deviations come from, whether parts agree, and what a use needs."""
+    """Yield lines on where the standard deviations come from, and whether parts agree."""
     if note.covariance == "cluster-robust":
         ratios = [ratio for ratio in note.sigma_ratio.values() if math.isfinite(ratio)]
         times = f", {np.median(ratios):.2g} x those of white noise" if ratios else ""
@@ -69,10 +69,6 @@ def trust_lines(note: UncertaintySummary) -> Iterator[str]:
         yield f"  split-half         consistency, z rms {note.split_z:.2g} (1 expected)"
     if note.added:
         yield f"  added by evidence  {', '.join(note.added)}"
-    if note.use and note.needs:
-        short = [need.block for need in note.needs if need.verdict != "pass"]
-        words = f"{len(short)} of {len(note.needs)} needs not met" if short else f"all {len(note.needs)} needs met"
-        yield f"  {'for ' + note.use:<18} {words}"
 
 
 def held_lines(calibration: Calibration) -> Iterator[str]:
