@@ -53,6 +53,7 @@ def _stated(calibration: Calibration) -> ReportTable:
 
 def _numbers(calibration: Calibration) -> ReportTable:
     rows: list[tuple[str, ...]] = []
+    note = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated."
     for where, group in _groups(calibration):
         if rows and len(rows) + len(group.rows) > _MOST:  # a group is shown as a whole
             break
@@ -60,11 +61,12 @@ def _numbers(calibration: Calibration) -> ReportTable:
             (f"{where}{_called(group.title, row.name)}", row.value, row.expanded or MISSING, row.unit)
             for row in group.rows
         ]
+        note += f" {where}Attitude: {group.note}." if group.title == "Attitude" else ""
     return ReportTable(
         "The numbers that matter",
         ("", "estimate", "U = 2σ", "unit"),
         rows,
-        "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated.",
+        note,
         dense=True,
     )
 

@@ -4,7 +4,7 @@ There is one list of sections; a page has those for which the result holds somet
 """
 
 from collections.abc import Iterator
-from math import degrees
+from math import degrees, isfinite
 
 from ...results.calibration import Calibration
 from ...results.result import JoinedDiagnostics
@@ -90,7 +90,7 @@ def _key_numbers(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDi
                 ("gyroscope", holdout.rate_rms, "|ω| − rate"),
                 ("magnetometer", holdout.field_rms, "|h| − 1, in parts of the field,"),
             )
-            if name in diagnostics.triads
+            if name in diagnostics.triads and isfinite(value)
         ]  # fmt: skip
     counts = f"{assessment.intervals_used} of {assessment.intervals_found}"
     numbers.append(KeyNumber(f"{plural.capitalize()} used", counts, _spread_words(vectors_of(diagnostics)[0])))
