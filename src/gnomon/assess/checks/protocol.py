@@ -84,7 +84,7 @@ def significant_cluster(out: Booleans) -> tuple[int, int] | None:
 
 
 _APART_DEG = 10.0
-_NEEDED, _GOOD = 9, 12  # attitudes: nine parameters need nine of them; a few more let errors show
+_SOME, _NEEDED, _GOOD = 6, 9, 12  # attitudes: for scales and bias; for all nine parameters; to let errors show
 _START_S = 20.0
 _LAG_S = 0.05
 _UNSTEADY, _MOVING = 1.35, 1.8  # wander within an interval; 0.9 to 1.1 where a sensor really rests
@@ -312,7 +312,7 @@ def _attitudes(attitudes: int, rests: Rests, share: float, label: str) -> Findin
     return make_finding(
         "attitudes/few",
         severity="warning" if attitudes >= _NEEDED else "problem",
-        case="enough" if attitudes >= _NEEDED else "",
+        case="enough" if attitudes >= _NEEDED else "some" if attitudes >= _SOME else "",
         message=message,
     )
 
