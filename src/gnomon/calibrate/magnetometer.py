@@ -34,7 +34,7 @@ from ..frozen import value_class
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
 from ..progress import Progress
-from ..recording import Floats, Recording, TriadSamples
+from ..recording import Floats, Recording, TemperatureSamples, TriadSamples
 from ..results.calibration import (
     AccelerometerCalibration,
     Calibration,
@@ -45,7 +45,9 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..results.result import Booleans, Result
+from .steps.magnetometer_temperature import FieldOverTemperature, field_over_temperature
 from .steps.preparation import check_arguments, local_gravity, stated_options
+from .steps.temperature_while_turned import rose_and_fell
 
 _FIELDS_UT = (10.0, 200.0)
 _FEWEST, _SHORTEST_S = 100, 5.0
@@ -66,6 +68,7 @@ class PreparedField:
     accelerometer_t_s : its instants of sampling, on the same clock
     shape, usual : rough ellipsoid of radius 1, and the usual distance of samples from it
     findings : what was noticed
+    thermometer : its readings, where they rose and fell
     """
 
     magnetometer: TriadSamples
@@ -76,6 +79,7 @@ class PreparedField:
     shape: Ellipsoid
     usual: float
     findings: tuple[Finding, ...]
+    thermometer: TemperatureSamples | None = None
 
 
 def prepare_field(recording: Recording, options: MagnetometerOptions) -> PreparedField:
@@ -121,6 +125,7 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
         shape=shape,
         usual=usual,
         findings=(*findings, *more),
+        thermometer=imu.temperature if rose_and_fell(imu.temperature) else None,
     )
 
 
@@ -211,6 +216,7 @@ def check_field_options(prior: Priors, options: MagnetometerOptions) -> None:
         )
 
 
+_ROUNDS = 3  # a rough one, and two by windows of time
 _LEAST_KNOWN_RAD = 0.1  # sigma of the rotation to the accelerometer beyond which it is not used
 
 
@@ -250,7 +256,8 @@ def calibrate_magnetometer(
     prepared = prepare_field(recording, options)
     known = _known(prepared, options, prior)
     tell(f"fitting the ellipsoid of {len(prepared.magnetometer)} samples")
-    poses, fit, rivals = _fit_models(prepared, options, known)
+    fitted = _fit_models(prepared, options, known)
+    prepared, (poses, fit, rivals), warm = _without_temperature(prepared, fitted, options, known)
     tell("relating the magnetometer to the accelerometer")
     gravity = local_gravity(ImuOptions())
     up, dip = _beside_accelerometer(prepared, poses, fit, known, gravity.value)
@@ -288,6 +295,7 @@ def calibrate_magnetometer(
         ),
     )
     calibration = with_changes(calibration, evidence.trust.trust)
+    calibration = calibration if warm is None else warm.added_to(calibration)
     return Result(calibration=calibration, diagnostics=describe_field(evidence))
 
 
@@ -298,9 +306,39 @@ def _known(prepared: PreparedField, options: MagnetometerOptions, prior: Priors)
     return gather_prior(prior, options, units, free=options.free)
 
 
-def _fit_models(
-    prepared: PreparedField, options: MagnetometerOptions, known: Prior
-) -> tuple[FieldPoses, MagnetometerFit, dict[str, MagnetometerFit]]:
+_Fitted = tuple[FieldPoses, MagnetometerFit, dict[str, MagnetometerFit]]
+
+
+def _without_temperature(
+    prepared: PreparedField, fitted: _Fitted, options: MagnetometerOptions, known: Prior
+) -> tuple[PreparedField, _Fitted, FieldOverTemperature | None]:
+    """Return samples as they would be at the mean temperature, their fits, and what was taken off; None where nothing.
+
+    What the temperature does is found beside a fit that lacks it, so that both are found again without it.
+    """
+    samples, before, warm = prepared.magnetometer, (prepared, fitted), None
+    for _ in range(0 if prepared.thermometer is None else _ROUNDS):
+        poses, fit, rivals = fitted
+        assert prepared.thermometer is not None
+        found = field_over_temperature(poses, rivals["full"], samples.t_ns, prepared.thermometer, warm)
+        if found is None:
+            return *before, None
+        warm = found
+        values = warm.known.to_reference("magnetometer", samples.values, warm.degc, rivals["full"].iron.bias)
+        try:
+            shape, usual = _rough(values[prepared.usable])
+            prepared = replace(prepared, magnetometer=replace(samples, values=values), shape=shape, usual=usual)
+            fitted = _fit_models(prepared, options, known)
+        except (DetectionError, InitialisationError):
+            return *before, None
+    if warm is None:
+        return *before, None
+    poses, fit, rivals = fitted
+    wider = warm.widened(fit, poses)
+    return prepared, (poses, wider, {name: wider if one is fit else one for name, one in rivals.items()}), warm
+
+
+def _fit_models(prepared: PreparedField, options: MagnetometerOptions, known: Prior) -> _Fitted:
     """Fit a full sensitivity, and beside it, or where it is wanted instead, one scale.
 
     Soft iron that is not significant is no more certain for being left out, so that only an option leaves it out.
@@ -395,10 +433,10 @@ def _calibrated(
 
 
 def _by_what_was_left_out(fit: MagnetometerFit, up: GravityFit, dip: DipFit) -> Floats:
-    """Return what soft iron that was left out adds to the joint covariance, the dip's own parameters included."""
+    """Return what was left out of the model, or taken off before, adds to the joint covariance, the dip included."""
     turned = -dip.stage.covariance @ (dip.stage.jacobian.T @ (dip.stage.earlier[0] @ fit.left_out))
-    shift = np.concatenate([fit.left_out, np.zeros(len(up.stage.covariance)), turned])
-    return np.outer(shift, shift)
+    shift = np.concatenate([fit.left_out, np.zeros((len(up.stage.covariance), fit.left_out.shape[1])), turned])
+    return shift @ shift.T
 
 
 def _in_own_frame(sensor: MagnetometerCalibration, covariance: Floats) -> tuple[ImuCalibration, Floats]:

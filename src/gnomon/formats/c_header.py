@@ -5,6 +5,7 @@ whose differences to a sample of similar size are exact.
 """
 
 import re
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -74,9 +75,9 @@ _PRODUCT = """\
 """
 
 _TEMPERATURE = """\
-/* {imu}: takes off the samples, in place, what the temperature changes: first this, then gnomon_{imu}_apply.
+/* {imu}: takes off the samples, in place, what the temperature changes: first this, then gnomon_{imu}_apply{suffix}.
  * degc: of the chip [degC], {low:g} to {high:g}; beyond it is taken for the nearer end. */
-static inline void gnomon_{imu}_at_reference({arguments}, gnomon_real degc)
+static inline void gnomon_{imu}_at_reference{suffix}({arguments}, gnomon_real degc)
 {{
     const gnomon_real t = degc < {low_literal} ? {low_literal} : degc > {high_literal} ? {high_literal} : degc;
     const gnomon_real d = t - {reference};
@@ -84,11 +85,11 @@ static inline void gnomon_{imu}_at_reference({arguments}, gnomon_real degc)
 """
 
 _SENSITIVITY = """\
-    {{   /* y - bias = (1 + D) x is solved for x by x = y - bias - D x, to the eighth power of D */
+    {{   /* y - bias = (1 + D) x is solved for x by x = y - bias - D x, over and over */
         gnomon_real y[3], x[3], more[3];
         for (int i = 0; i < 3; ++i)
             x[i] = y[i] = {triad}[i] - gnomon_{imu}_{triad}_bias[i] - gnomon_{imu}_{triad}_bias_rest[i];
-        for (int k = 0; k < 7; ++k) {{
+        for (int k = 0; k < {times}; ++k) {{
             for (int i = 0; i < 3; ++i) {{
                 more[i] = GNOMON_R(0.0);
                 for (int j = 0; j < 3; ++j)
@@ -134,7 +135,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         if imu.accelerometer is not None or imu.gyroscope is not None:
             parts.append(_function(identifier, imu))
         if imu.temperature is not None and dict(imu.temperature.parts()):
-            parts.append(_temperature_function(identifier, imu.temperature))
+            parts += _temperature_functions(identifier, imu.temperature)
         if imu.magnetometer is not None:
             parts.append(_magnetometer_function(identifier, imu.magnetometer.unit, imu.magnetometer.field_unit))
     text = "\n".join([*parts, "#endif\n"])
@@ -194,9 +195,16 @@ def _function(imu: str, calibration: ImuCalibration) -> str:
     )  # fmt: skip
 
 
-def _temperature_function(imu: str, found: TemperatureDependence) -> str:
-    """Return the function that takes samples to the reference temperature."""
+def _temperature_functions(imu: str, found: TemperatureDependence) -> Iterator[str]:
+    """Yield the functions that take samples to the reference: a magnetometer's come at times of their own."""
     parts = dict(found.parts())
+    magnetic = {part: parts.pop(part) for part in list(parts) if part.startswith("magnetometer")}
+    for own, suffix in ((parts, ""), (magnetic, "_magnetometer")):
+        if own:
+            yield _temperature_function(imu, found, own, suffix)
+
+
+def _temperature_function(imu: str, found: TemperatureDependence, parts: Mapping[str, Floats], suffix: str) -> str:
     body, constants, after = "", "", ""
     for part, coefficients in parts.items():
         triad, kind = part.split("_", 1)
@@ -209,15 +217,25 @@ def _temperature_function(imu: str, found: TemperatureDependence) -> str:
         matrices = ", ".join("{" + ", ".join(map(_row, matrix)) + "}" for matrix in coefficients)
         constants += f"static const gnomon_real {name}[{len(coefficients)}][3][3] = {{{matrices}}};\n"
         change = _polynomial(name, len(coefficients), "[i][j]")
-        after += (_FELT if kind == "g_sensitivity" else _SENSITIVITY).format(imu=imu, triad=triad, change=change)
-    needed = ("accelerometer",) if found.gyroscope_g_sensitivity is not None else ()
+        if kind == "g_sensitivity":
+            after += _FELT.format(imu=imu, triad=triad, change=change)
+        else:
+            times = _repetitions(found.change(part, np.array([found.low_degc, found.high_degc])))
+            after += _SENSITIVITY.format(imu=imu, triad=triad, change=change, times=times)
+    needed = ("accelerometer",) if "gyroscope_g_sensitivity" in parts else ()
     triads = dict.fromkeys([*needed, *(part.split("_")[0] for part in parts)])
     return constants + _TEMPERATURE.format(
-        imu=imu, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
+        imu=imu, suffix=suffix, low=found.low_degc, high=found.high_degc, low_literal=_literal(found.low_degc),
         high_literal=_literal(found.high_degc), reference=_literal(found.reference_degc),
         body=f"    for (int i = 0; i < 3; ++i) {{\n{body}    }}\n{after}" if body else after,
         arguments=", ".join(f"gnomon_real {triad}[3]" for triad in triads),
     )  # fmt: skip
+
+
+def _repetitions(changes: Floats) -> int:
+    """Return how often x = y - D x is repeated until D (2, 3, 3) to that power is below what a double rounds."""
+    largest = min(float(np.linalg.norm(changes, ord=2, axis=(1, 2)).max()), 0.5)
+    return max(7, int(np.ceil(np.log(1e-14) / np.log(max(largest, 1e-14)))))
 
 
 def _polynomial(name: str, order: int, at: str) -> str:

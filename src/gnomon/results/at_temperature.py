@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import OptionError
 from ..recording import Floats
 from .parameters import Moved, calibration_parameters, covariance_names
-from .sensors import CameraCalibration, ImuCalibration, TemperatureDependence
+from .sensors import TRIADS, CameraCalibration, ImuCalibration, TemperatureDependence
 
 _NEAR_K = 0.5
 """How far beyond the range a temperature still counts as in it."""
@@ -44,7 +44,7 @@ def imus_at_temperature(
             continue
         for path, value in calibration_parameters({name: replace(imu, temperature=None)}):
             triad, _, kind = path.removeprefix(f"{name}.").partition(".")
-            if triad in {"accelerometer", "gyroscope"} and kind in {"bias", "sensitivity", "g_sensitivity"}:
+            if triad in TRIADS and kind in {"bias", "sensitivity", "g_sensitivity"}:
                 rows = [places[f"{path}[{','.join(map(str, index))}]"] for index in np.ndindex(value.shape)]
                 changed = value
                 if kind == "g_sensitivity":
@@ -63,7 +63,7 @@ def _at(name: str, imu: ImuCalibration, degc: float) -> ImuCalibration:
             f"{name} is known from {found.low_degc:.1f} to {found.high_degc:.1f} degC, and not at {degc:.1f} degC."
         )
     changed = {}
-    for triad in ("accelerometer", "gyroscope"):
+    for triad in TRIADS:
         sensor = getattr(imu, triad)
         if sensor is None:
             continue

@@ -161,6 +161,7 @@ class TemperatureDependence:
     accelerometer_bias, gyroscope_bias : (order, 3) [unit/K^j]
     accelerometer_sensitivity, gyroscope_sensitivity : (order, 3, 3) [1/K^j]
     gyroscope_g_sensitivity : (order, 3, 3) [unit of the gyroscope per unit of the accelerometer and K^j]
+    magnetometer_bias, magnetometer_sensitivity : (order, 3) [unit/K^j] and (order, 3, 3) [1/K^j]
     """
 
     reference_degc: float
@@ -172,6 +173,8 @@ class TemperatureDependence:
     accelerometer_sensitivity: Floats | None = None
     gyroscope_sensitivity: Floats | None = None
     gyroscope_g_sensitivity: Floats | None = None
+    magnetometer_bias: Floats | None = None
+    magnetometer_sensitivity: Floats | None = None
 
     def __post_init__(self) -> None:
         for name in TEMPERATURE_PARTS:
@@ -221,6 +224,8 @@ class TemperatureDependence:
         return values + more + self.change(f"{name}_bias", degc)
 
 
+TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+
 HIGHEST_ORDER = 3
 """Of polynomials of the temperature."""
 
@@ -231,6 +236,8 @@ TEMPERATURE_PARTS = FrozenMapping(
         "accelerometer_sensitivity": (3, 3),
         "gyroscope_sensitivity": (3, 3),
         "gyroscope_g_sensitivity": (3, 3),
+        "magnetometer_bias": (3,),
+        "magnetometer_sensitivity": (3, 3),
     }
 )
 """What a temperature may change, in the order of the covariance, and the shape of one coefficient."""
@@ -342,9 +349,9 @@ class ImuCalibration:
         course = self.temperature_course(samples.temperature)
         if course is None:
             return samples
-        triads = ("accelerometer", "gyroscope")
+        there = {name: stream for name in TRIADS if (stream := getattr(samples, name)) is not None}
         return replace(
-            samples, **{name: self.triad_at_reference(name, getattr(samples, name), course) for name in triads}
+            samples, **{name: self.triad_at_reference(name, stream, course) for name, stream in there.items()}
         )
 
     def temperature_course(self, temperature: TemperatureSamples | None) -> TemperatureCourse | None:
@@ -366,9 +373,9 @@ class ImuCalibration:
         return course
 
     def triad_at_reference(self, name: str, stream: TriadSamples, course: TemperatureCourse) -> TriadSamples:
-        """Return samples of a triad, "gyroscope" or another, as they would be at the reference temperature."""
+        """Return samples of a triad, of any kind, as they would be at the reference temperature."""
         triad = getattr(self, name)
-        if self.temperature is None or triad is None or f"{name}_bias" not in TEMPERATURE_PARTS:
+        if self.temperature is None or triad is None:
             return stream
         values = self.temperature.to_reference(name, stream.values, course.at(stream.t_ns), triad.bias)
         return replace(stream, values=values)

@@ -16,10 +16,12 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..results.sensors import rotate_imu
+from ..results.sensors import TemperatureDependence, rotate_imu
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .scenarios.recorded import FieldScenario, Scenario
+from .scenarios.temperature import TemperatureScenario
 from .sensor import Converter, drawn_imu, sensor_converters, true_calibration
+from .temperature import thermometer_readings, warm_up_share
 
 _LIKE = Scenario(accelerometer_misalignment=0.005, accelerometer_scale=(0.995, 1.005), gyroscope_scale=(0.98, 1.02))
 _RATES = {"sphere": (0.83, 0.47, 0.59), "one-axis": (0.0, 0.0, 0.9), "still": (0.0, 0.0, 0.0)}
@@ -47,7 +49,7 @@ def simulate_magnetometer(scenario: FieldScenario | None = None, seed: int = 0) 
     """
     scenario = scenario or FieldScenario()
     # One stream a purpose: an option for one leaves the others as they are.
-    for_sensor, for_motion, for_field, for_noise, for_force = np.random.default_rng(seed).spawn(5)
+    for_sensor, for_motion, for_field, for_noise, for_force, for_warmth = np.random.default_rng(seed).spawn(6)
     if scenario.sensor_seed is not None:
         for_sensor = np.random.default_rng(scenario.sensor_seed)
     to_field = _converter(scenario)
@@ -60,9 +62,19 @@ def simulate_magnetometer(scenario: FieldScenario | None = None, seed: int = 0) 
     bad = for_noise.random(len(t_s)) < scenario.outliers
     field[bad] += scenario.field * for_noise.uniform(-1, 1, (int(bad.sum()), 3))
     values = field @ imu.magnetometer.sensitivity.T + imu.magnetometer.bias
+    thermometer = None
+    if scenario.heating_k:
+        warm = _warming(scenario)
+        degc = warm.start_degc + scenario.heating_k * warm_up_share(warm, t_s)
+        changes = _changes(scenario, degc, to_field, for_warmth)
+        values = changes.from_reference("magnetometer", values, degc, imu.magnetometer.bias)
+        thermometer = thermometer_readings(warm, np.rint(t_s * 1e9).astype(np.int64), degc, for_warmth)
+        imu = replace(imu, temperature=changes)
     magnetometer = _samples(t_s, to_field.digitise(values), to_field.unit)
     inertial = _inertial(scenario, motion, imu, for_force)
-    samples = ImuSamples(accelerometer=inertial[0], gyroscope=inertial[1], magnetometer=magnetometer)
+    samples = ImuSamples(
+        accelerometer=inertial[0], gyroscope=inertial[1], magnetometer=magnetometer, temperature=thermometer
+    )
     return Recording(imus={"imu0": samples}), _truth(scenario, seed, imu)
 
 
@@ -172,6 +184,32 @@ def _sensor(scenario: FieldScenario, to_field: Converter, rng: np.random.Generat
     return ImuCalibration(accelerometer=inertial.accelerometer, gyroscope=inertial.gyroscope, magnetometer=magnetometer)
 
 
+def _warming(scenario: FieldScenario) -> TemperatureScenario:
+    """Return a chip that warms up and cools again, and its thermometer."""
+    return TemperatureScenario(
+        rate_hz=scenario.rate_hz, start_degc=25.0, end_degc=25.0 + scenario.heating_k, back=True,
+        time_constant_s=scenario.duration_s / 8, lag_s=scenario.lag_s, thermometer_rate_hz=10.0,
+    )  # fmt: skip
+
+
+def _changes(
+    scenario: FieldScenario, degc: Floats, to_field: Converter, rng: np.random.Generator
+) -> TemperatureDependence:
+    """Return what the temperature does to offsets and scales, about its mean."""
+    offset, scale = rng.standard_normal((2, 3)) * [
+        [scenario.offset_drift / to_field.unit_si],
+        [scenario.sensitivity_drift],
+    ]
+    return TemperatureDependence(
+        reference_degc=float(degc.mean()),
+        low_degc=float(degc.min()) - 1.0,
+        high_degc=float(degc.max()) + 1.0,
+        lag_s=scenario.lag_s,
+        magnetometer_bias=offset[None] if scenario.offset_drift else None,
+        magnetometer_sensitivity=np.diag(scale)[None] if scenario.sensitivity_drift else None,
+    )
+
+
 def _inertial(
     scenario: FieldScenario, motion: _Motion, imu: ImuCalibration, rng: np.random.Generator
 ) -> tuple[TriadSamples, TriadSamples]:
@@ -214,7 +252,11 @@ def _truth(scenario: FieldScenario, seed: int, imu: ImuCalibration) -> Calibrati
     return true_calibration(
         scenario,
         seed,
-        imus={"imu0": ImuCalibration(accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer)},
+        imus={
+            "imu0": ImuCalibration(
+                accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer, temperature=imu.temperature
+            )
+        },
         frame=frame,
         gravity_m_s2=STANDARD_GRAVITY_M_S2,
         assessment=Assessment(verdict="pass", findings=(), model="full" if scenario.soft_iron else "hard-iron"),

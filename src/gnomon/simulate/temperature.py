@@ -97,7 +97,7 @@ def _turned(
         made, known = simulate_imu(plain, seed)
         samples, sensor = made.imus["imu0"], known.imus["imu0"]
         t_s = samples.gyroscope.t_s
-        course = at + rng.normal(0.0, 1.0) + scenario.self_heating_k * _approach(scenario, t_s)
+        course = at + rng.normal(0.0, 1.0) + scenario.self_heating_k * warm_up_share(scenario, t_s)
         degc.append(course)
         turn_on = {"gyroscope": scenario.gyroscope_turn_on, "accelerometer": scenario.accelerometer_turn_on}
         triads: dict[str, TriadSamples] = {}
@@ -110,15 +110,16 @@ def _turned(
             values = values + (felt[:, :, 0] if name == "gyroscope" else 0.0)
             values = truth.from_reference(name, values, course, bias) + turn_on[name] * rng.standard_normal(3)
             triads[name] = TriadSamples(t_ns=triad.t_ns, values=values, unit=triad.unit)
-        read = _thermometer(scenario, samples.gyroscope.t_ns, course, rng)
+        read = thermometer_readings(scenario, samples.gyroscope.t_ns, course, rng)
         imu = ImuSamples(accelerometer=triads["accelerometer"], gyroscope=triads["gyroscope"], temperature=read)
         recordings.append(Recording(imus={"imu0": imu}))
     return TemperatureSimulation(recordings=tuple(recordings), degc=tuple(degc), truth=truth, sensor=sensor)
 
 
-def _thermometer(
+def thermometer_readings(
     scenario: TemperatureScenario, t_ns: Integers, degc: Floats, rng: np.random.Generator
 ) -> TemperatureSamples:
+    """Return what the thermometer reads of the temperature (n,) at timestamps (n,) of the sensor."""
     read = _read(scenario, np.asarray(t_ns * 1e-9, dtype=np.float64), degc, rng)
     every = slice(None, None, max(1, round(scenario.rate_hz / scenario.thermometer_rate_hz)))
     return TemperatureSamples(t_ns=t_ns[every], values=read[every], unit="degC")
@@ -147,7 +148,7 @@ def _recording(
             values = values + scenario.branches / 2 * np.sign(np.gradient(degc))[:, None]
         return TriadSamples(t_ns=t_ns, values=values, unit=unit)
 
-    temperature = _thermometer(scenario, t_ns, degc, rng)
+    temperature = thermometer_readings(scenario, t_ns, degc, rng)
     imu = ImuSamples(
         accelerometer=triad("accelerometer", "m/s^2"), gyroscope=triad("gyroscope", "rad/s"), temperature=temperature
     )
@@ -157,10 +158,10 @@ def _recording(
 def _course(scenario: TemperatureScenario, t_s: Floats, rng: np.random.Generator) -> Floats:
     """Return the temperature of the chip: up exponentially, and down again in the second half where that is wanted."""
     start, end = scenario.start_degc + rng.normal(0.0, 1.0), scenario.end_degc + rng.normal(0.0, 1.0)
-    return start + (end - start) * _approach(scenario, t_s)
+    return start + (end - start) * warm_up_share(scenario, t_s)
 
 
-def _approach(scenario: TemperatureScenario, t_s: Floats) -> Floats:
+def warm_up_share(scenario: TemperatureScenario, t_s: Floats) -> Floats:
     """Return how far the temperature is on its way to the end, (n,) from 0 to 1."""
     tau, half = scenario.time_constant_s, float(t_s[-1]) / 2
     there = 1 - np.exp(-t_s / tau)

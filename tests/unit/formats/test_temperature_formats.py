@@ -15,7 +15,7 @@ from gnomon.formats.shared.si_units import with_full_scale
 from gnomon.recording import ImuSamples, TemperatureSamples, TriadSamples
 from gnomon.results.at_temperature import imus_at_temperature
 from gnomon.results.calibration import Covariance, calibration_parameters, covariance_names
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.sensors import MagnetometerCalibration, TemperatureDependence
 from gnomon.simulate import Scenario, simulate
 
 FOUND = TemperatureDependence(
@@ -28,6 +28,11 @@ FOUND = TemperatureDependence(
     accelerometer_sensitivity=np.tril(np.array([[[2e-4, 0, 0], [1e-5, -1e-4, 0], [2e-5, -3e-5, 3e-4]]])),
     gyroscope_sensitivity=np.array([1e-4 * np.eye(3) + 1e-5, 2e-6 * np.eye(3) - 1e-7]),
     gyroscope_g_sensitivity=np.array([[[3e-6, -1e-6, 2e-6], [4e-7, -5e-6, 1e-6], [2e-6, 1e-6, 6e-6]]]),
+    magnetometer_bias=np.array([[0.1, -0.2, 0.05], [1e-3, 2e-3, -1e-3]]),
+    magnetometer_sensitivity=np.array([np.diag([-3e-3, -2.8e-3, -3.1e-3])]),
+)
+MAGNETOMETER = MagnetometerCalibration(
+    sensitivity=np.diag([1.02, 0.97, 1.05]), bias=np.array([12.0, -31.0, 7.5]), unit="uT", field_unit="uT"
 )
 DEGC = np.array([-20.0, -5.0, 0.0, 22.0, 40.0, 51.5, 80.0])
 
@@ -35,7 +40,7 @@ DEGC = np.array([-20.0, -5.0, 0.0, 22.0, 40.0, 51.5, 80.0])
 @pytest.fixture(scope="module")
 def calibration():
     known = simulate(Scenario(intervals=12, t_init_s=6.0), 3)[1]
-    imus = {"imu0": replace(known.imus["imu0"], temperature=FOUND)}
+    imus = {"imu0": replace(known.imus["imu0"], magnetometer=MAGNETOMETER, temperature=FOUND)}
     names = covariance_names(imus)
     matrix = np.diag(np.linspace(1.0, 2.0, len(names)) ** 2 * 1e-8)
     return replace(known, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
@@ -109,7 +114,7 @@ def test_every_export_is_within_a_millionth_of_a_sigma(calibration, tmp_path, pr
         assert (there.reference_degc, there.low_degc, there.high_degc) == (22.0, -5.0, 51.5)
         read = dict(there.parts())
     flight = program in {"px4", "ardupilot"}
-    assert set(read) == {part for part, _ in FOUND.parts() if part.endswith("_bias") or not flight}
+    assert set(read) == ({"accelerometer_bias", "gyroscope_bias"} if flight else {part for part, _ in FOUND.parts()})
     for part, values in read.items():
         sigma = calibration.sigma(f"imu0.temperature.{part}")
         assert np.abs((values - getattr(FOUND, part)) / sigma).max() < 1e-6
@@ -158,21 +163,22 @@ def test_autopilots_are_compared_at_a_temperature(calibration, tmp_path):
 def test_the_c_header_takes_off_the_same(calibration, tmp_path, real, rounding):
     """In double it is the library's own to far less than 1e-6 of a sigma, which is no less than 1e-3 of a parameter."""
     gnomon.convert(calibration, "c-header", tmp_path)
-    run = f"void run({real} *a, {real} *g, {real} t) {{ gnomon_imu0_at_reference(a, g, t); }}\n"
+    functions = "gnomon_imu0_at_reference(a, g, t); gnomon_imu0_at_reference_magnetometer(m, t);"
+    run = f"void run({real} *a, {real} *g, {real} *m, {real} t) {{ {functions} }}\n"
     (tmp_path / "run.c").write_text(f'#include "gnomon_imu.h"\n{run}', encoding="utf-8")
     options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", *["-DGNOMON_DOUBLE"] * (real == "double")]
     subprocess.run(["cc", *options, "run.c", "-o", "run.so"], cwd=tmp_path, check=True)
     run, number = ctypes.CDLL(str(tmp_path / "run.so")).run, getattr(ctypes, f"c_{real}")
     imu = calibration.imus["imu0"]
     for degc in DEGC:
-        accelerometer, gyroscope = (number * 3)(0, 0, 0), (number * 3)(0, 0, 0)
-        run(accelerometer, gyroscope, number(degc))
-        force, rate = (
+        accelerometer, gyroscope, magnetometer = ((number * 3)(0, 0, 0) for _ in range(3))
+        run(accelerometer, gyroscope, magnetometer, number(degc))
+        force, rate, field = (
             FOUND.to_reference(name, np.zeros((1, 3)), np.array([degc]), getattr(imu, name).bias)[0]
-            for name in ("accelerometer", "gyroscope")
+            for name in ("accelerometer", "gyroscope", "magnetometer")
         )
         rate = rate - FOUND.change("gyroscope_g_sensitivity", np.array([degc]))[0] @ (force - imu.accelerometer.bias)
-        for values, wanted in ((accelerometer, force), (gyroscope, rate)):
+        for values, wanted in ((accelerometer, force), (gyroscope, rate), (magnetometer, field)):
             assert np.allclose(np.array(values), wanted, rtol=rounding, atol=rounding / 20 * abs(wanted).max())
 
 
@@ -214,7 +220,7 @@ def test_flight_controllers_say_that_they_know_biases_alone(calibration, tmp_pat
 def test_to_the_reference_and_back():
     rng = np.random.default_rng(0)
     values, bias = rng.normal(size=(len(DEGC), 3)), rng.normal(size=3)
-    for name in ("accelerometer", "gyroscope"):
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
         there = FOUND.from_reference(name, values, DEGC, bias)
         assert np.allclose(FOUND.to_reference(name, there, DEGC, bias), values, rtol=0, atol=1e-13)
         assert np.abs(there - values).max() > 1e-3
@@ -238,11 +244,12 @@ def test_a_calibration_at_one_temperature_corrects_the_same(calibration):
     recorded = ImuSamples(
         accelerometer=TriadSamples(t_ns=t_ns, values=rng.normal(size=(50, 3)), unit="m/s^2"),
         gyroscope=TriadSamples(t_ns=t_ns, values=rng.normal(size=(50, 3)), unit="rad/s"),
+        magnetometer=TriadSamples(t_ns=t_ns, values=30 * rng.normal(size=(50, 3)), unit="uT"),
         temperature=TemperatureSamples(t_ns=t_ns[[0, -1]], values=np.full(2, 40.0), unit="degC"),
     )
     there = calibration.at_temperature(40.0)
     wanted, found = (one.imus["imu0"].apply(recorded) for one in (calibration, there))
-    for name in ("accelerometer", "gyroscope"):
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
         assert np.allclose(getattr(found, name).values, getattr(wanted, name).values, rtol=0, atol=1e-12)
     with pytest.raises(gnomon.OptionError, match="not at 60"):
         calibration.at_temperature(60.0)
@@ -271,6 +278,10 @@ def test_the_covariance_at_one_temperature_is_that_of_drawn_calibrations(calibra
             gyroscope=replace(
                 imu.gyroscope, sensitivity=changed["imu0.gyroscope.sensitivity"], bias=changed["imu0.gyroscope.bias"],
                 g_sensitivity=changed["imu0.gyroscope.g_sensitivity"],
+            ),
+            magnetometer=replace(
+                imu.magnetometer, sensitivity=changed["imu0.magnetometer.sensitivity"],
+                bias=changed["imu0.magnetometer.bias"],
             ),
             temperature=replace(FOUND, **{p: changed[f"imu0.temperature.{p}"] for p, _ in FOUND.parts()}),
         )  # fmt: skip

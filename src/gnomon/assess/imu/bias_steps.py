@@ -75,16 +75,20 @@ def _slope_findings(evidence: ImuFitSummary) -> Iterator[Finding]:
         yield slope_finding(part, coefficients / per_si, covariance, found)
 
 
-def slope_finding(part: str, coefficients: Floats, covariance: Floats, found: TemperatureDependence) -> Finding:
-    """Say by how much a bias follows the temperature.
+def slope_finding(
+    part: str, coefficients: Floats, covariance: Floats, found: TemperatureDependence, unit: str = ""
+) -> Finding:
+    """Say by how much a bias, or a scale, follows the temperature.
 
     Parameters
     ----------
     part : such as "gyroscope_bias"
     coefficients, covariance : (order, 3) and (3 order, 3 order) [SI per K^j]
     found : in which range, about which reference
+    unit : "uT" or "local field" of a magnetometer's bias, "1" of scales; else it follows from the part
     """
-    triad = part.removesuffix("_bias")
+    triad, kind = part.split("_")
+    what = {"bias": "bias", "sensitivity": "scale"}[kind]
     d = np.linspace(found.low_degc, found.high_degc, _CURVE) - found.reference_degc
     powers = np.vander(d, len(coefficients) + 1, increasing=True)[:, 1:]
     moved = powers @ coefficients
@@ -93,8 +97,9 @@ def slope_finding(part: str, coefficients: Floats, covariance: Floats, found: Te
     return make_finding(
         "temperature-slope",
         triad=triad,
-        change=_shown(triad, float(np.ptp(moved[:, worst]))),
-        sigma=_shown(triad, float(np.sqrt(ends @ covariance[worst::3, worst::3] @ ends))),
+        what=what,
+        change=_shown(triad, float(np.ptp(moved[:, worst])), unit),
+        sigma=_shown(triad, float(np.sqrt(ends @ covariance[worst::3, worst::3] @ ends)), unit),
         low=found.low_degc,
         high=found.high_degc,
         reference=found.reference_degc,
@@ -222,7 +227,12 @@ def _per_si(evidence: ImuFitSummary, triad: str) -> Floats:
     return np.linalg.norm(getattr(evidence.estimate, f"{triad}_sensitivity"), axis=1)
 
 
-def _shown(triad: str, size: float) -> str:
+_PARTS_OF = {"1": " %", "local field": " % of the local field"}
+
+
+def _shown(triad: str, size: float, unit: str = "") -> str:
+    if unit:
+        return f"{100 * size:.2g}{_PARTS_OF[unit]}" if unit in _PARTS_OF else f"{size:.2g} {unit}"
     if triad == "gyroscope":
         return f"{1e3 * size:.2g} mrad/s ({np.degrees(size):.2g} deg/s)"
     return f"{1e3 * size:.2g} mm/s^2"

@@ -292,10 +292,11 @@ def _left_out_findings(evidence: FieldFitSummary) -> list[Finding]:
     count = int(np.any(full.iron.basis[:9] != 0, axis=0).sum())
     # The common scale belongs to both models.
     scale = np.linalg.norm(fit.iron.sensitivity) / np.sqrt(3)
-    shape = (full.iron.basis[:9] @ fit.left_out).reshape(3, 3) / scale
+    left_out = fit.left_out[:, 0]
+    shape = (full.iron.basis[:9] @ left_out).reshape(3, 3) / scale
     shape = shape - np.trace(shape) / 3 * np.eye(3)
     inverse = np.linalg.pinv(full.covariance[:count, :count], rcond=1e-10, hermitian=True)
-    chi_squared = float(fit.left_out[:count] @ inverse @ fit.left_out[:count])
+    chi_squared = float(left_out[:count] @ inverse @ left_out[:count])
     if chi_squared < count + _SIGNIFICANT * np.sqrt(2 * count):
         return []
     return [make_finding("soft-iron-left-out", shape=np.abs(shape).max())]

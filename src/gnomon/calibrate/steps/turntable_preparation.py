@@ -86,7 +86,10 @@ def _with_temperature(
         reference_degc=float(read[at_rest].mean()), low_degc=float(read.min()), high_degc=float(read.max())
     )
     powers = temperature_powers(degc, read[at_rest], course.step_k)
-    return replace(parts, data=replace(data, degc=powers), temperature=known)
+    untold = [] if data.force is None else [
+        make_finding("temperature-untold", range=float(np.ptp(read)), attitudes=len(np.unique(data.pose)))
+    ]  # fmt: skip
+    return replace(parts, data=replace(data, degc=powers), temperature=known, findings=(*parts.findings, *untold))
 
 
 def _refuse_alike(means: Floats, streams: Sequence[PlatterStream]) -> None:

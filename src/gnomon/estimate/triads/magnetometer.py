@@ -78,7 +78,8 @@ class MagnetometerFit:
     covariance : (p, p) of what is free, from the blocks
     direction : (n, 3) unit vectors of the field
     by_parameters : (n, 3, p) their derivatives by what is free
-    left_out : (p,) what is free less what the full model finds for it; zero unless parts of that were left out
+    left_out : (p, k) by how much what is free may err beside that, in the covariance already: what was left out of the
+        model, or taken off before it
     sigma_factor : how much larger the sigmas are than for independent errors
     """
 
@@ -105,6 +106,11 @@ class MagnetometerFit:
     def holdout_rms(self) -> float:
         """Of the poses used, each by the other blocks [field]."""
         return float(np.sqrt(np.mean(self.error_holdout[self.used] ** 2)))
+
+    def with_left_out(self, shifts: Floats) -> "MagnetometerFit":
+        """Return the fit with what else (p, k) its parameters may err by."""
+        covariance = self.covariance + shifts @ shifts.T
+        return replace(self, covariance=covariance, left_out=np.hstack([self.left_out, shifts]))
 
 
 def fit_magnetometer(
@@ -258,7 +264,7 @@ def _with_blocks(poses: FieldPoses, iron: HardSoftIron, field: float, model: Mag
         covariance=covariance,
         direction=x / length[:, None],
         by_parameters=by_direction(x, correction) @ iron.basis,
-        left_out=np.zeros(iron.basis.shape[1]),
+        left_out=np.zeros((iron.basis.shape[1], 0)),
         sigma_factor=float(np.sqrt(np.mean(np.diag(covariance) / np.maximum(np.diag(iron.covariance), 1e-300)))),
     )
 
@@ -276,7 +282,7 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
     square = np.outer(left_out, left_out)
     correction = invert_matrix(sphere.iron.sensitivity)
     x = sphere.direction * (sphere.field + sphere.error)[:, None]
-    return replace(
+    unknown = replace(
         sphere,
         iron=replace(
             sphere.iron,
@@ -286,11 +292,12 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
         ),
         stage=full.stage,
         blocks=full.blocks,
-        covariance=full.covariance + square,
+        covariance=full.covariance,
         by_parameters=by_direction(x, correction) @ basis,
-        left_out=left_out,
+        left_out=full.left_out,
         sigma_factor=full.sigma_factor,
     )
+    return unknown.with_left_out(left_out[:, None])
 
 
 def stray_samples(values: Floats, noise: Floats, fit: MagnetometerFit) -> Booleans:

@@ -14,11 +14,12 @@ from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
 from ...results.result import Booleans
+from ..multiposition.bias_course import BiasCourse, bias_course
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.cluster_trust import RobustCovariance
 from .axis import AxisInSensor
-from .parts import BiasCourse, TurntableData, bias_course, drift_at, shown_density
+from .parts import TurntableData, drift_at, shown_density
 
 Sense = Literal["clockwise", "counterclockwise"]
 
@@ -290,7 +291,7 @@ def _fit_with_drift(
     if poses.force is not None:
         residual = residual - poses.force @ fit.g_sensitivity.T
     noise = poses.variance + (poses.magnitude_sigma**2)[:, None] * np.sum(fit.sensitivity**2, axis=1)
-    course = bias_course(data, residual, noise, at_rest, poses.force)
+    course = bias_course(data.t_s, data.degc, residual, noise, at_rest=at_rest, force=poses.force)
     if course is not None:
         poses = replace(poses, measured=poses.measured - course.at_parts, variance=poses.variance + course.variance)
         residual, noise = residual - course.at_parts, noise + course.variance

@@ -233,7 +233,7 @@ def _known(node: Node) -> float:
 
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 8
+SCHEMA_MINOR = 9
 TEMPERATURE_NUMBERS = ("reference_degc", "low_degc", "high_degc", "lag_s")
 """Keys of a dependence on temperature beside its coefficients."""
 

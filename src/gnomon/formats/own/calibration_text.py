@@ -205,7 +205,8 @@ def _minor(calibration: Calibration) -> int:
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
     trust = calibration.assessment.trust
     asks = {
-        8: _with_felt_temperature(calibration),
+        9: _with_temperature(calibration, "magnetometer_bias", "magnetometer_sensitivity"),
+        8: _with_temperature(calibration, "gyroscope_g_sensitivity"),
         7: _with_temperature(calibration),
         6: _tells_of_occasions(trust) or trust.changes or _with_origin(calibration),
         4: not calibration.imus,
@@ -242,13 +243,10 @@ def _with_shifted_accelerometer(calibration: Calibration) -> bool:
     return any(sensor is not None and sensor.time_shift_s is not None for sensor in sensors)
 
 
-def _with_temperature(calibration: Calibration) -> bool:
-    return any(imu.temperature is not None for imu in calibration.imus.values())
-
-
-def _with_felt_temperature(calibration: Calibration) -> bool:
-    warm = [imu.temperature for imu in calibration.imus.values()]
-    return any(found is not None and found.gyroscope_g_sensitivity is not None for found in warm)
+def _with_temperature(calibration: Calibration, *parts: str) -> bool:
+    """Tell whether an IMU knows its temperature, or what that changes of certain parts."""
+    warm = [imu.temperature for imu in calibration.imus.values() if imu.temperature is not None]
+    return any(getattr(one, part) is not None for one in warm for part in parts) if parts else bool(warm)
 
 
 def _tells_of_occasions(trust: UncertaintySummary) -> bool:

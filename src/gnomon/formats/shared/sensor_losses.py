@@ -122,7 +122,7 @@ def _imu_losses(name: str, imu: ImuCalibration, holds: Holds, context: Context) 
 
 def _temperature_losses(name: str, found: TemperatureDependence, holds: Holds) -> Iterator[Loss]:
     """Yield what of a dependence on temperature has no place."""
-    parts = dict(found.parts())
+    parts = {part for part, _ in found.parts() if holds.magnetometer or not part.startswith("magnetometer")}
     if not holds.temperature:
         if parts:
             only = f"it is right at {found.reference_degc:g} degC, the temperature to which the file refers."

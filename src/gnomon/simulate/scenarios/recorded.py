@@ -353,6 +353,19 @@ class FieldScenario:
     magnetometer_range: float = 800.0
     """Full scale of the magnetometer in uT; readings stop there, and counts of 16 bits end there."""
 
+    heating_k: float = 0.0
+    """By which the chip warms up in the first half of the recording, and cools again in the second, in K; above 0 its
+    thermometer is recorded."""
+
+    lag_s: float = 0.0
+    """By which the thermometer follows the sensor, in seconds."""
+
+    offset_drift: float = 0.0
+    """Usual size of what a kelvin changes of each offset, in uT/K."""
+
+    sensitivity_drift: float = 0.0
+    """The same of the three scales, relative, in 1/K."""
+
     sensor_seed: int | None = None
     """Draw the sensor's parameters from this seed, so that many recordings of one sensor can be made."""
 
@@ -360,7 +373,8 @@ class FieldScenario:
         check_ranges(
             self,
             positive="inhomogeneity_s disturbance_s magnetometer_range",
-            not_negative="hard_iron soft_iron noise inhomogeneity disturbance hand_acceleration",
+            not_negative="hard_iron soft_iron noise inhomogeneity disturbance hand_acceleration heating_k lag_s "
+            "offset_drift sensitivity_drift",
             fractions="outliers",
         )
         if self.soft_iron >= 0.3:
