@@ -103,6 +103,7 @@ def slope_finding(
         low=found.low_degc,
         high=found.high_degc,
         reference=found.reference_degc,
+        more=_TURN_IT if triad == "magnetometer" else _WARM_IT,
     )
 
 
@@ -227,6 +228,8 @@ def _per_si(evidence: ImuFitSummary, triad: str) -> Floats:
     return np.linalg.norm(getattr(evidence.estimate, f"{triad}_sensitivity"), axis=1)
 
 
+_TURN_IT = "turn it through all attitudes while it warms up by more, and cools again"
+_WARM_IT = "and turn-on scatter record warm-ups at rest: gnomon temperature WARM-UP... --calibration RESULT"
 _PARTS_OF = {"1": " %", "local field": " % of the local field"}
 
 

@@ -141,14 +141,13 @@ class _Candidates:
     single: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
 
-def gyroscope_changes(rests: RestMeans, u: Floats, *, steps: bool = True) -> BiasChanges:
+def gyroscope_changes(rests: RestMeans, u: Floats) -> BiasChanges:
     """Return how a gyroscope's bias changed.
 
     Parameters
     ----------
     rests : means of the gyroscope
     u : (n, 3) directions of gravity in the static intervals, which the bias may depend on
-    steps : whether it may step
     """
     n, m = len(u), len(rests.t_s)
     if n < _FEWEST:
@@ -157,7 +156,7 @@ def gyroscope_changes(rests: RestMeans, u: Floats, *, steps: bool = True) -> Bia
     if rests.degc is not None:
         design = np.column_stack([design, rests.degc[:, 1]])
     series = _Series(y=rests.means, design=design, variance=rests.variance, pull=np.ones((m, 1)))
-    return _search(rests, lambda _: series, shortest=2 if steps else m)
+    return _search(rests, lambda _: series, shortest=2)
 
 
 def accelerometer_changes(rests: RestMeans) -> BiasChanges:

@@ -55,11 +55,7 @@ def bias_course(
         rest=np.arange(n), t_s=t_s[at_rest], half_s=np.zeros(n), means=residual[at_rest], variance=noise[at_rest],
         degc=degc[at_rest],
     )  # fmt: skip
-    along = felt[at_rest] / max(float(np.abs(felt).max()), 1e-300)
-    changes = gyroscope_changes(rests, along)
-    if changes.steps:  # one at a time is taken, the step when a heater is switched off before the temperature
-        alone = gyroscope_changes(rests, along, steps=False)
-        changes = alone if alone.gain > changes.gain else changes
+    changes = gyroscope_changes(rests, felt[at_rest] / max(float(np.abs(felt).max()), 1e-300))
     if not changes.temperature or changes.steps:
         return None
     powers = degc.shape[1]
