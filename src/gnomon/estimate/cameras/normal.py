@@ -81,13 +81,6 @@ class ViewNormalEquations:
             total[q:, q:].reshape(n, 3, n, 3)[every, :, every, :] = self.squares.sum(axis=0)
         return total
 
-    def shared_of(self, view: int) -> Floats:
-        """Return the part of A that one view adds."""
-        one = slice(view, view + 1)
-        return replace(
-            self, gram=self.gram[one], by_points=self.by_points[one], squares=self.squares[one], cost=self.cost[one]
-        ).shared()
-
 
 def accumulate_normal_equations(
     corners: Sequence[CameraCorners],
@@ -214,7 +207,14 @@ def view_sums(at: ViewNormalEquations) -> tuple[Floats, Floats]:
     inverse, border = inverse_poses(at.pose), at.border
     follow = inverse @ border
     pull = np.einsum("vip,vi->vp", follow, at.pose_gradient) - at.gradients()
-    information = np.empty((len(border), at.size, at.size))
-    for view in range(len(border)):
-        information[view] = at.shared_of(view) - border[view].T @ follow[view]
+    information = np.swapaxes(border, 1, 2) @ follow
+    np.negative(information, out=information)
+    q, n = at.gram.shape[1] - POSE - 1, at.squares.shape[1]
+    information[:, :q, :q] += at.gram[:, POSE:-1, POSE:-1]
+    if n:
+        information[:, :q, q:] += at.by_points[:, POSE:-1]
+        information[:, q:, :q] += np.swapaxes(at.by_points[:, POSE:-1], 1, 2)
+        first = q + 3 * np.arange(n)
+        for i, j in np.ndindex(3, 3):
+            information[:, first + i, first + j] += at.squares[:, :, i, j]
     return pull, information

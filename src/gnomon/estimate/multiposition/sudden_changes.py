@@ -63,13 +63,19 @@ class _Cause:
 
 @value_class
 class _Change:
-    """A change (3,) at rest `place`, its covariance, and how often chance makes one as large, in one look."""
+    """A change (3,) at rest `place`, its information at unit variance, the variance, and how often chance makes it."""
 
     cause: _Cause
     place: int
     size: Floats
-    covariance: Floats
+    information: Floats
+    variance: float
     chance: float
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (3, 3)."""
+        return self.variance * np.linalg.inv(self.information)
 
 
 def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -> ParameterChange | None:
@@ -159,7 +165,8 @@ class _Problem:
     """The linearised problem with changes of one cause, the directions eliminated.
 
     `cost` is the sum of squares at the minimum without a change; of the residuals of the cause's kind, `left` is their
-    share of it, of `freedom`, and `known` what the noise at rest explains of their variance.
+    share of it, of `freedom`, and `known` what the noise at rest explains of their variance. `sizes` (k, 3) are the
+    changes at each rest, of `information` (k, 3, 3) and `score` (k, 3).
     """
 
     cause: _Cause
@@ -169,6 +176,7 @@ class _Problem:
     known: float
     score: Floats
     information: Floats
+    sizes: Floats
 
     @classmethod
     def of(cls, fit: MultiPositionFit, kept: Booleans, cause: _Cause) -> "_Problem":
@@ -203,27 +211,30 @@ class _Problem:
             freedom = float(rests[fit.interval_used].sum())
             own_noise = whitening.accelerometer**2 @ fit.data.accelerometer_variance[:, :, None]
             known = float(np.mean(own_noise[fit.interval_used]))
+        score = right[of_change] - np.einsum("qki,q->ki", across, solved[:, 0])
         return cls(
             cause=cause,
             cost=sum_of_squares(lines, whitening, fit.from_prior) - gained,
             left=float(np.sum(left**2)) - gained,
             freedom=freedom - 3,
             known=known,
-            score=right[of_change] - np.einsum("qki,q->ki", across, solved[:, 0]),
+            score=score,
             information=own,
+            sizes=np.linalg.solve(own, score[:, :, None])[:, :, 0],
         )
 
     def change_at(self, k: int, place: int, allowed: float = 0.0) -> _Change:
         """Return the change at the k-th of the rests; `allowed` is by how much the cost was lower without it."""
-        size = np.linalg.solve(self.information[k], self.score[k])
+        size = self.sizes[k]
         t2 = float(size @ self.score[k])
         left, freedom = max(self.left - t2, 0.0), self.freedom
         if left < freedom * self.known:
             left, freedom = left + _NOISE_COUNTS * self.known, freedom + _NOISE_COUNTS
         mean = left / max(freedom, 1.0)
         chance = 1.0 if self.freedom < _FEWEST_LEFT else _chance(max(t2 + allowed, 0.0) / (3 * mean), freedom)
-        covariance = mean * np.linalg.inv(self.information[k])
-        return _Change(cause=self.cause, place=place, size=size, covariance=covariance, chance=chance)
+        return _Change(
+            cause=self.cause, place=place, size=size, information=self.information[k], variance=mean, chance=chance
+        )
 
 
 _OF_THREE = 2 / 27

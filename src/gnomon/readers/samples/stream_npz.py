@@ -3,6 +3,7 @@
 import zipfile
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
+from itertools import count, islice
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
 from ...progress import tell_read
-from ...recording import TriadSamples, measurable_numbers
+from ...recording import Integers, TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..files import ZIP_DAMAGE, array_header, refuse_false_arrays
 from .npz import SensorArray, sensor_arrays
@@ -52,15 +53,17 @@ def open_npz(
             if not arrays:
                 listed = ", ".join(sorted(keys))[:200]
                 raise RecordingError(f"{path.name}: no array named accelerometer for {imu}; found {listed}.")
+            units = {array.stamps: _clock_unit(archive, array) for array in arrays.values()}
+            rows = max(1, block_bytes // 24)
+            clocks = {key: _Clock(path, key, unit, rows) for key, unit in units.items() if key is not None}
             streams = {
                 name: _Triad(
                     path=path,
                     key=array.key,
-                    clock=array.stamps,
-                    clock_unit=_clock_unit(archive, array),
+                    clock=None if array.stamps is None else clocks[array.stamps],
                     rate_hz=rate,
                     unit=_chosen(archive, choice, name, array),
-                    rows=max(1, block_bytes // 24),
+                    rows=rows,
                 )
                 for name, array in arrays.items()
                 if name in triads
@@ -97,18 +100,36 @@ def _clock_unit(archive: zipfile.ZipFile, array: SensorArray) -> str:
 
 def _chosen(archive: zipfile.ZipFile, choice: UnitChoice, name: str, array: SensorArray) -> str:
     if name == "accelerometer":
-        return choice.accelerometer(array.unit, next(_array(archive, array.key, _FIRST_ROWS), np.empty((0, 3))))
+        first = iter(()) if array.unit or choice.stated.accelerometer else _array(archive, array.key, _FIRST_ROWS)
+        return choice.accelerometer(array.unit, next(first, np.empty((0, 3))))
     return choice.gyroscope(array.unit) if name == "gyroscope" else choice.magnetometer(array.unit)
 
 
-@value_class(eq=True)
+class _Clock:
+    """Timestamps of a file in blocks; triads that are read in turns unpack each of them once."""
+
+    def __init__(self, path: Path, key: str, unit: str, rows: int) -> None:
+        self.key = key
+        self._path, self._unit, self._rows = path, unit, rows
+        self._last, self._number = np.empty(0, np.int64), -1
+
+    def blocks(self, archive: zipfile.ZipFile) -> Iterator[Integers]:
+        """Yield the timestamps [ns]."""
+        own, taken = _array(archive, self.key, self._rows), 0
+        for number in count():
+            if number != self._number:
+                self._last = to_ns(next(islice(own, number - taken, None)), self._unit, self._path.name)
+                self._number, taken = number, number + 1
+            yield self._last
+
+
+@value_class
 class _Triad:
-    """One triad of an NPZ file; clock and clock_unit are key and unit of its timestamps, rows the length of a block."""
+    """One triad of an NPZ file; rows is the length of a block."""
 
     path: Path
     key: str
-    clock: str | None
-    clock_unit: str
+    clock: _Clock | None
     rate_hz: float | None
     unit: str
     rows: int
@@ -130,12 +151,12 @@ class _Triad:
         shape = _shape(archive, self.key)
         if len(shape) != 2 or shape[1] != 3:
             raise RecordingError(f"{self.path.name}: {self.key} has shape {shape}, expected (n, 3).")
-        if self.clock is not None and _shape(archive, self.clock) != shape[:1]:
-            stamps = _shape(archive, self.clock)
+        if self.clock is not None and _shape(archive, self.clock.key) != shape[:1]:
+            stamps = _shape(archive, self.clock.key)
             raise RecordingError(
                 f"{self.path.name}: {shape[0]} samples of {self.key}, but timestamps of shape {stamps}."
             )
-        clock = None if self.clock is None else _array(archive, self.clock, self.rows)
+        clock = None if self.clock is None else self.clock.blocks(archive)
         done = 0
         for raw in _array(archive, self.key, self.rows):
             values = np.ascontiguousarray(raw, dtype=np.float64)
@@ -148,7 +169,7 @@ class _Triad:
             if clock is None:
                 t_ns = uniform_stamps(len(raw), 0.0 if self.rate_hz is None else self.rate_hz, done)
             else:
-                t_ns = to_ns(next(clock), self.clock_unit, self.path.name)
+                t_ns = next(clock)
             yield TriadSamples(t_ns=t_ns, values=values, unit=self.unit)
             done += len(raw)
             tell_read(self.path.name, done * _SAMPLE_BYTES, shape[0] * _SAMPLE_BYTES)
