@@ -170,7 +170,7 @@ class AllanSums:
     def __init__(self) -> None:
         self.samples = 0
         self._waiting = np.empty((0, 3))
-        self._axes = tuple(_Axis(_Space()) for _ in range(3))
+        self._axes: tuple[_Axis, ...] = tuple(_Axis(_Space()) for _ in range(3))
 
     def add(self, values: Floats) -> None:
         """Take the next samples, (n, 3)."""
@@ -208,6 +208,7 @@ class AllanSums:
         """Return the variances over all samples so far, at most a third of them averaged; ends the summation."""
         levels = _levels(self.samples)
         found = self._each(lambda axis, values: axis.finished(values, levels), self._waiting)
+        self._axes, self._waiting = (), np.empty((0, 3))  # other sums may need the memory
         squares, straight = (np.stack([one[i] for one in found], axis=1) for i in range(2))
         return _published(self.samples, rate_hz, squares, straight, np.array([one[2] for one in found]))
 
