@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import gnomon
-from gnomon.results.sensors import TEMPERATURE_PARTS, TemperatureDependence
+from gnomon.results.sensors import TemperatureDependence
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.study.temperature import METHODS, TemperatureTask, draw_scenario, run_temperature
@@ -63,8 +63,8 @@ def turned_errors(seed: int, recordings: int, scatter: float) -> dict[str, list[
     made = simulate_temperature(scenario, seed)
     calibration = gnomon.calibrate_temperature(made.recordings).calibration
     parts: dict[str, list[float]] = {}
-    for part in TEMPERATURE_PARTS:
-        triad, kind = part.split("_")
+    for part, _ in made.truth.parts():
+        triad, kind = part.split("_", 1)
         found = getattr(calibration.imus["imu0"].temperature, part)
         if found is None:
             parts[f"{triad} {kind}"] = []

@@ -152,7 +152,7 @@ def turned_calibration(
     parts: dict[str, Floats] = {}
     rows: dict[str, Floats] = {}
     for part in TEMPERATURE_PARTS:
-        if not (order := turned.orders[part]):
+        if not (order := turned.orders.get(part, 0)):
             continue
         triad, kind = part.split("_", 1)
         places = [at[name] for name in scalars.names if name.startswith(f"imu0.{triad}.{kind}[")]
