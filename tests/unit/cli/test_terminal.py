@@ -95,7 +95,7 @@ def test_a_long_npz_and_its_check_tell_how_far_they_are(tmp_path, monkeypatch):
     assert shares == sorted(shares)
     assert shares[-1] == 100
     assert len(set(shares)) > 5
-    assert seen["checking the recording"] == [(k, 5) for k in range(5)]
+    assert seen["checking the recording"] == [(k, 7) for k in range(7)]
     assert [of for _, of in seen["finding static intervals"]] == [5] * 5
 
 

@@ -275,14 +275,11 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
             lambda: check_vibration(accelerometer, gyroscope, name),
             lambda: check_lost_samples(gyroscope, labels[1]),
         ]
-    findings = [finding for look in tell_parts("checking the recording", looks, len(looks)) for finding in look()]
-    if np.equal(*axis_extremes(accelerometer.values)).all() or not all(
-        np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope) if len(triad) > 1
-    ):
-        return findings
-    if both:
-        findings += check_triad_clocks(imu, name)
-    return findings + check_protocol(imu, name, find_rests(imu))
+    timed = all(np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope) if len(triad) > 1)
+    if timed and not np.equal(*axis_extremes(accelerometer.values)).all():
+        looks += [lambda: check_triad_clocks(imu, name)] * both
+        looks += [lambda: check_protocol(imu, name, find_rests(imu))]
+    return [finding for look in tell_parts("checking the recording", looks, len(looks)) for finding in look()]
 
 
 def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:
