@@ -121,13 +121,14 @@ def test_poses_before_points_that_lie_anywhere():
     assert np.abs(found[1] - p).max() < 1e-6
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.8])
-def test_images_count_less_where_errors_of_a_point_last(memory):
+def lasting(memory, share=1.0):
+    """Return the factor of errors of which a share of the variance is remembered from image to image."""
     rng = np.random.default_rng(4)
     images, points = 400, 30
     errors = rng.standard_normal((images, points, 2))
     for k in range(1, images):
         errors[k] = memory * errors[k - 1] + np.sqrt(1 - memory**2) * errors[k]
+    errors = np.sqrt(share) * errors + np.sqrt(1 - share) * rng.standard_normal(errors.shape)
     frame = np.repeat(np.arange(images), points)
     exposures = Exposures(
         frame=np.arange(images),
@@ -139,5 +140,17 @@ def test_images_count_less_where_errors_of_a_point_last(memory):
     )
     residual = errors.reshape(-1, 2)
     sums = SimpleNamespace(residual=residual, comparable=residual, weight=np.ones(len(frame)))
+    return lasting_factor(exposures, sums)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_images_count_less_where_errors_of_a_point_last(memory):
     expected = np.sqrt((1 + memory) / (1 - memory))  # of an autoregressive process of first order
-    assert lasting_factor(exposures, sums) == pytest.approx(expected, rel=0.1)
+    assert lasting(memory) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_little_more_that_lasts_makes_them_count_a_little_less():
+    """Correlations that stopped counting below some size made the noise level alternate until iterations ended."""
+    factors = [lasting(0.99, share) for share in np.linspace(0.03, 0.09, 13)]
+    assert np.abs(np.diff(np.log(factors))).max() < 0.15
+    assert 1.5 < factors[0] < factors[-1] < 4.0

@@ -50,6 +50,7 @@ _MOST_LANDMARKS = 300
 _ALIKE = 0.8  # correlation of landmarks in a scene that repeats itself; elsewhere 0.4 to 0.7
 _COMING = 0.1, 0.2  # share of landmarks that come or go: warned of, refused; waved 0.02 to 0.05, shaken from 0.15 on
 _REACH_PX, _NEAR_PX = 18.0, 6.0
+_SCALE_SIGMA = 7e-4  # of focal lengths that errors of few landmarks feign: as freed lenses scatter in twelve rooms
 
 
 _UNSETTLED = (
@@ -167,6 +168,7 @@ def map_landmarks(
             T_cam_imu=entry.T_cam_imu,
             time_shift_cam_imu_s=entry.time_shift_cam_imu_s,
             lens_covariance=entry.lens_covariance,
+            detector_scale_sigma=_SCALE_SIGMA,
         )
     found = [
         make_finding("scene-blurred", severity="problem" if share > _COMING[1] else "warning", name=camera, share=share)

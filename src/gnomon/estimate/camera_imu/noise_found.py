@@ -18,7 +18,6 @@ from .trajectory import BIAS
 from .walk_noise import found_walks, walk_sums
 
 _LONGEST = 100  # images over which errors of a point may last
-_SMALL = 0.05  # correlation
 _MOST_ROUNDS, _SAME = 20, 1e-3  # of Huber's proposal, and relative change after which it stands
 
 
@@ -67,8 +66,9 @@ def pixel_levels(
 def lasting_factor(exposures: Exposures, sums: CornerSums) -> float:
     """Return by how much a mean over images scatters more than if the errors of a point were new in each.
 
-    Its square is 1 + 2 sum rho(lag), with the correlations of the residuals of a point in images lag apart, up to the
-    first that is small.
+    Its square is 1 + 2 sum rho(lag), with the correlations of the residuals of a point in images lag apart, none larger
+    than one before it, up to the first that is not positive (initial monotone sequence, Geyer 1992): it changes by
+    little where they do.
     """
     if exposures.point is None:
         return 1.0
@@ -79,12 +79,12 @@ def lasting_factor(exposures: Exposures, sums: CornerSums) -> float:
     place = exposures.point * (images + _LONGEST) + frame
     order = np.argsort(place, kind="stable")
     place, residual = place[order], residual[order]
-    own, total = float(np.mean(residual**2)), 1.0
+    own, total, rho = float(np.mean(residual**2)), 1.0, 1.0
     for lag in range(1, _LONGEST):
         at = np.minimum(np.searchsorted(place, place + lag), len(place) - 1)
         pair = np.flatnonzero(place[at] == place + lag)
-        rho = float(np.mean(residual[pair] * residual[at[pair]])) / own if len(pair) else 0.0
-        if rho < _SMALL:
+        rho = min(rho, float(np.mean(residual[pair] * residual[at[pair]])) / own) if len(pair) else 0.0
+        if rho <= 0:
             break
         total += 2 * rho
     return float(np.sqrt(total))
