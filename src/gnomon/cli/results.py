@@ -109,6 +109,8 @@ def print_result(
 def propose_temperature(calibration: "Calibration", folder: Path, terminal: Terminal) -> None:
     """Propose to find what the temperature does, where it moved while the sensor was recorded."""
     span = calibration.provenance.options.get("chip_range_degc", "0 to 0").split(" to ")
+    if any(imu.temperature is not None and imu.temperature.of("magnetometer") for imu in calibration.imus.values()):
+        return
     if calibration.verdict != "fail" and float(span[1]) - float(span[0]) >= _MOVED_K:
         terminal.propose("temperature", "WARM-UP", "--calibration", folder / "calibration.yaml")
 

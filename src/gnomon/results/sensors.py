@@ -188,6 +188,10 @@ class TemperatureDependence:
             if (value := getattr(self, name)) is not None:
                 yield name, value
 
+    def of(self, triad: str) -> bool:
+        """Return whether anything of a triad changes."""
+        return any(part.startswith(triad) for part, _ in self.parts())
+
     @property
     def changes(self) -> bool:
         """Whether anything changes at all."""

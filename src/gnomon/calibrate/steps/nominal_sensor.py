@@ -31,7 +31,8 @@ def base_calibration(calibration: Calibration | None, imu: ImuSamples, name: str
     Raises
     ------
     OptionError
-        If it is of other sensors, or in other units, or there is none for a sensor in counts.
+        If it is of other sensors, or in other units, or there is none for a sensor in counts; or it knows how its
+        magnetometer changes, which would hold in another range.
     """
     triads = [triad for triad in TRIADS if len(getattr(imu, triad))]
     if calibration is None:
@@ -41,6 +42,12 @@ def base_calibration(calibration: Calibration | None, imu: ImuSamples, name: str
             f"the calibration holds {len(calibration.imus)} IMUs; a temperature is found of one. Give that of one IMU."
         )
     name_of, sensor = next(iter(calibration.imus.items()))
+    if sensor.temperature is not None and sensor.temperature.of("magnetometer"):
+        raise OptionError(
+            f"the calibration knows what its magnetometer does from {sensor.temperature.low_degc:.0f} to "
+            f"{sensor.temperature.high_degc:.0f} degC, which the recordings do not tell anew. Keep it as it is, and "
+            "give the result of gnomon imu here."
+        )
     for triad in triads:
         known, unit = getattr(sensor, triad), getattr(imu, triad).unit
         if known is not None and known.unit != unit:
