@@ -175,8 +175,10 @@ def test_a_recording_does_not_verify_the_calibration_that_it_made(tmp_path):
     head = "t_ns,wx [rad/s],wy [rad/s],wz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
     np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt=["%d", *["%.12g"] * 6])
     own = gnomon.calibrate_imu(gnomon.read(path)).calibration
+    steps = []
     with pytest.raises(gnomon.OptionError, match="very recording"):
-        gnomon.verify(own, gnomon.read(path))
+        gnomon.verify(own, gnomon.read(path), progress=steps.append)
+    assert not steps, "that can be said before anything is estimated"
 
 
 RIG = {

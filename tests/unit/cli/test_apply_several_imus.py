@@ -69,6 +69,13 @@ def test_what_is_not_clear_is_asked(arguments, message, folder, simulation, tmp_
     assert not (tmp_path / "a.csv").exists()
 
 
+def test_a_table_is_not_written_under_another_name(folder, tmp_path, capsys):
+    out = tmp_path / "a.npz"
+    assert main(["apply", str(folder / "truth.yaml"), str(folder), "--imu", "imu0", "-o", str(out)]) == 2
+    assert "written as a CSV table. Name the file so, a.csv." in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()
+
+
 def test_the_calibration_of_one_imu_needs_no_name(tmp_path):
     simulation = simulate_camera_imu(replace(SCENARIO, imus=1, accelerometer_rate_hz=None), seed=4)
     save_camera_imu_recording(simulation, tmp_path)
