@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....recording import Floats
-from ..batch import error_terms
+from ..batch import RigState, error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, taken_together
 from ..terms.imu_prediction import predicted_readings
@@ -21,6 +21,7 @@ from .uncertainty import FilteredTriad, Uncertainty
 
 _APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
 _ASKED = 3.0  # sigmas
+_LEAST_SHARE = 1e-6  # of x'' that the rest must leave
 _SHAPES = (("S_g", "M_g", "q_bg"), ("S_a", "M_a"))
 
 
@@ -34,12 +35,16 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
     if not any(ratios):
         return found
     right, border, own, pull = _products(solution)
-    inner, by_means, sides = step.factor.further_sides(right, border, means)
+    inner, with_sides, sides = step.factor.further_sides(right, border, np.concatenate([[0], means]))
     moves = step.covariance @ sides[free]
+    pull -= with_sides[0] + step.factor.schur_sides[free, 0] @ moves
     information = np.diag(own) - inner - sides[free].T @ moves
-    told = np.flatnonzero((np.diag(information) > 0) & (np.array(ratios) > 0))
-    covariance = np.linalg.inv(information[np.ix_(told, told)])
-    moves = np.concatenate([moves, by_means + step.factor.schur_sides[free][:, means].T @ moves])[:, told]
+    told = np.flatnonzero((np.diag(information) > _LEAST_SHARE * own) & (np.array(ratios) > 0))
+    information = information[np.ix_(told, told)]
+    if not len(told) or np.linalg.det(information) <= _LEAST_SHARE * np.prod(np.diag(information)):
+        return found  # the trajectory, or one triad the other's, takes up all of it
+    covariance = np.linalg.inv(information)
+    moves = np.concatenate([moves, with_sides[1:] + step.factor.schur_sides[free][:, means].T @ moves])[:, told]
     filters: list[FilteredTriad] = []
     sigmas, added = np.sqrt(np.diag(found.covariance)), np.zeros_like(found.covariance)
     for k, q, variance, along in zip(told.tolist(), covariance @ pull[told], np.diag(covariance), moves.T, strict=True):
@@ -68,7 +73,7 @@ def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
     border : (p, 2 m) columns of the border, but for the corners of a board
     own, pull : (2 m,) x'' itself, and minus the residuals
     """
-    state, grid, count = solution.state, solution.state.trajectory.grid, 2 * len(solution.noise.imus)
+    state, grid, count = _linearised_at(solution), solution.state.trajectory.grid, 2 * len(solution.noise.imus)
     right = np.zeros((grid.controls, solution.step.factor.size, count))
     border, own, pull = np.zeros((solution.layout.dense, count)), np.zeros(count), np.zeros(count)
     measured = replace(solution.measurements, visual=(), used=())
@@ -91,6 +96,14 @@ def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
                 pull[k] += sums[:, columns.side].sum()
                 own[k] += np.vdot(bent[part], bent[part])
     return right, border, own, pull
+
+
+def _linearised_at(solution: Solution) -> RigState:
+    """Return the state before the last step: rows from elsewhere do not belong to the factor."""
+    state, trajectory = solution.state, solution.lin.trajectory
+    if state.trajectory is trajectory:
+        return state
+    return RigState(trajectory=trajectory, parameters=solution.layout.plus(state.parameters, -solution.step.parameters))
 
 
 def _second_differences(data: InertialData, solution: Solution) -> list[tuple[int, Floats]]:
