@@ -95,7 +95,7 @@ def problem(
         places = rng.uniform(-0.12, 0.3, (board, 3)) * [1, 1, 0 if flat else 0.2]
         parameters = replace(
             parameters,
-            board=BoardPoints(points=places, offsets=0.01 * rng.normal(size=(board, 3)), sigma_m=0.02, pitch_m=0.1),
+            board=BoardPoints(points=places, offsets=0.01 * rng.normal(size=(board, 3)), sigma_m=0.02),
         )
     noise = NoiseLevels(
         imus=tuple(InertialNoise(gyroscope=0.02 + 0.01 * i, accelerometer=0.1) for i in range(imus)),

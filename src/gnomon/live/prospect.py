@@ -43,15 +43,11 @@ class Prospect:
     up : (n, 3) direction of the specific force in the sensor, in each rest that can be used
     needs : what the use needs, and what would be reached; none as long as attitudes are too few to tell
     target : (3,) direction that shall point up next
-    unused : why rests cannot be used
-    last_s : how long the last rest is, as far as it can be used [s]
     """
 
     up: Floats = field(default_factory=lambda: np.empty((0, 3)))
     needs: tuple[Need, ...] = ()
     target: Floats | None = None
-    unused: tuple[str, ...] = ()
-    last_s: float = 0.0
 
 
 def look_ahead(imu: ImuSamples, use: Use, factors: Mapping[str, float] | None = None) -> Prospect:
@@ -70,9 +66,7 @@ def look_ahead(imu: ImuSamples, use: Use, factors: Mapping[str, float] | None = 
     still = rests.intervals
     means = interval_means(samples.values, still)
     up = means / np.linalg.norm(means, axis=1, keepdims=True)
-    unused = tuple(reason for reason in rests.reason if reason)
-    last_s = float(still.stop[-1] - still.start[-1]) / samples.rate_hz if len(still) else 0.0
-    before = Prospect(up=up, target=_unlike(up), unused=unused, last_s=last_s)
+    before = Prospect(up=up, target=_unlike(up))
     if len(up) < _FEWEST or np.linalg.matrix_rank(up, tol=0.5) < 3:
         return before
     alike = np.max(_UNIT @ up.T, axis=1) > _APART

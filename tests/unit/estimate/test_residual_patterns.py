@@ -5,14 +5,12 @@ import pytest
 
 from gnomon.estimate.camera_imu.result.residual_patterns import (
     CountingCorners,
-    _neighbours,
     _pattern,
     along_board,
+    corner_correlation,
     missing_term,
 )
-from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
 from gnomon.models.camera import Camera
-from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0
 
@@ -65,14 +63,24 @@ def test_residuals_are_turned_along_the_board(angle):
     np.testing.assert_allclose(along_board(by_place, 3 * y[None]), [[0, 3]], atol=1e-12)
 
 
-def test_neighbours_of_tags_are_the_same_corners_of_the_next_tag():
-    board = BoardPoints.nominal(Target.aprilgrid(tag_cols=3, tag_rows=2, tag_size_m=0.08, tag_spacing=0.3))
-    pairs = _neighbours(board)
-    assert len(pairs) == 4 * (2 * 2 + 3)
-    apart = board.points[pairs[:, 1]] - board.points[pairs[:, 0]]
-    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.104)
-    plain = BoardPoints.nominal(Target.checkerboard(cols=4, rows=3, row_spacing_m=0.03, col_spacing_m=0.03))
-    assert len(_neighbours(plain)) == 3 * 3 + 4 * 2
+@pytest.mark.parametrize("memory_s", [0.0, 0.2, 2.0])
+def test_the_correlation_from_frame_to_frame_is_that_of_what_residuals_remember(memory_s):
+    rng = np.random.default_rng(3)
+    keep = np.exp(-1 / (RATE_HZ * memory_s)) if memory_s else 0.0
+    values = rng.normal(size=(400, LABELS, 2))
+    for i in range(1, len(values)):
+        values[i] = keep * values[i - 1] + np.sqrt(1 - keep**2) * values[i]
+    frame, point = (grid.ravel() for grid in np.indices(values.shape[:2]))
+    there = rng.random(len(frame)) < 0.8  # not every corner is found in each frame
+    corners = CountingCorners(
+        residual=values.reshape(-1, 2)[there],
+        on_board=values.reshape(-1, 2)[there],
+        frame=frame[there],
+        point=point[there],
+        t_s=frame[there] / RATE_HZ,
+        pixels=np.zeros((there.sum(), 2)),
+    )
+    assert abs(corner_correlation(corners) - keep) < 0.03
 
 
 @pytest.mark.parametrize(("size", "asked"), [(0.0, False), (0.05, True)])

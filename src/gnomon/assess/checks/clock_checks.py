@@ -30,7 +30,6 @@ _SAME_JUMP = 0.2
 _UNIX_S = (1e9, 4e9)  # 2001 to 2096
 _FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _NEAR_FACTOR = 0.2
-_LATE_S = 0.1
 
 
 @value_class(eq=True)

@@ -50,7 +50,7 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
         found.append(
             f"a lens that is not quite the stated one, {lens.rms_px:.2g} px off in the same parts of all images"
         )
-    if not found and (lasting := _lasting(solution, corners)) > _LASTING:
+    if not found and (lasting := _lasting(corners)) > _LASTING:
         found.append(
             "errors of the detector that depend on attitude and distance, or a lens that its model cannot follow (a "
             f"corner's residual is correlated by {lasting:.2g} from frame to frame)"
@@ -65,9 +65,9 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
     return found
 
 
-def _lasting(solution: Solution, corners: Sequence[CountingCorners]) -> float:
+def _lasting(corners: Sequence[CountingCorners]) -> float:
     """Return the largest correlation, of any camera, of a corner's residual with that in the next frame."""
-    return max((found.over_time[0] for found in corner_correlation(solution, corners).values()), default=0.0)
+    return max((corner_correlation(one) for one in corners if len(one.point)), default=0.0)
 
 
 def neighbour_correlation(fit: SignalFit) -> float:

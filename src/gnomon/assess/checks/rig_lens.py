@@ -38,7 +38,7 @@ _SIZE_FRAMES, _FEWEST_OTHERS, _OTHERS = 40, 5, 0.1
 _BAD_PX, _FAR_BETTER = 0.7, 0.5
 
 
-_FOCAL, _PRINCIPAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7
+_FOCAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(4, 6), 6, 7  # of the causes; 2 and 3: the principal point
 
 
 @value_class
@@ -48,7 +48,6 @@ class LensFit:
     Attributes
     ----------
     focal : (2,) relative change of the focal lengths
-    principal_px : (2,) shift of the principal point [px]
     border_px, border_sigma_px : by which corners at the border of what was seen of the image lie further out than the
         lens says [px]
     line_delay_s, line_delay_sigma_s : time from row to row, beside the stated one [s]
@@ -57,7 +56,6 @@ class LensFit:
     """
 
     focal: Floats
-    principal_px: Floats
     border_px: float
     border_sigma_px: float
     line_delay_s: float
@@ -243,7 +241,6 @@ def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Boolean
     grid = target.kind == "aprilgrid"
     return LensFit(
         focal=solution[_FOCAL],
-        principal_px=solution[_PRINCIPAL],
         border_px=float(border @ solution[_RADIAL]),
         border_sigma_px=float(np.sqrt(border @ covariance[_RADIAL, _RADIAL] @ border * (free[used] ** 2).mean())),
         line_delay_s=float(solution[_DELAY]),

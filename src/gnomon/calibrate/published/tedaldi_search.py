@@ -57,7 +57,6 @@ class Turned:
     bias, bias_sigma : (3,) of the gyroscope, in its unit
     segments : samples of the rotations
     u : (k, 3) direction of the specific force at rest, over whole intervals
-    u_start, u_end : (k - 1, 3) those that the fit compares
     start_s, stop_s : (k - 1,) of the rotations
     fit : of the gyroscope
     at_rest : static intervals, by the gyroscope's samples
@@ -67,8 +66,6 @@ class Turned:
     bias_sigma: Floats
     segments: MotionSegments
     u: Floats
-    u_start: Floats
-    u_end: Floats
     start_s: Floats
     stop_s: Floats
     fit: GyroscopeFit
@@ -199,8 +196,6 @@ def fit_rotations(prepared: PreparedImu, rules: TedaldiRules, search: Search, t_
         bias_sigma=spread,
         segments=segments,
         u=means / np.linalg.norm(means, axis=1, keepdims=True),
-        u_start=u_start,
-        u_end=u_end,
         start_s=start_s,
         stop_s=stop_s,
         fit=fit_gyroscope(segments, forces, u_start, u_end),

@@ -29,7 +29,6 @@ _LEAST_CONTRAST = 8.0  # grey levels
 _MISFIT = 0.12  # rms of the residuals over the contrast
 _LARGEST_SIGMA_PX = 0.25
 _MODEL_SIGMA_PX = 0.005  # what the model leaves out
-_WEAK = 1e-3  # relative precision with which the light's slope is known to be none
 
 
 @value_class

@@ -244,7 +244,6 @@ _OF_IMUS = ("gravity", "imus")
 FIELD_UNITS = ("uT", "local field")
 """Units of a calibrated magnetic field."""
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-_COVARIANCES = ("cluster-robust", "ordinary", "between-recordings")
 _FRAMES = {
     "accel-x": ("accelerometer", "accel-x"),
     "accel-z": ("accelerometer", "accel-z"),

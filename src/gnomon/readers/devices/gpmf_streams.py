@@ -6,6 +6,7 @@ said of them.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 
@@ -156,12 +157,10 @@ class Device:
     ----------
     name : as it calls itself
     blocks : its streams that gnomon uses, in the order of the file
-    payloads : their number
     """
 
     name: str
     blocks: tuple[PayloadBlock, ...]
-    payloads: int
 
     def of(self, key: str) -> tuple[PayloadBlock, ...]:
         """Return the blocks of one stream that hold values."""
@@ -174,7 +173,7 @@ class Telemetry:
     def __init__(self) -> None:
         self._names: dict[int, str] = {}
         self._blocks: dict[int, list[PayloadBlock]] = {}
-        self._payloads: dict[int, list[int]] = {}
+        self._payloads = Counter[int]()
         self.cut = False
         """Whether something was cut off or damaged."""
 
@@ -194,18 +193,17 @@ class Telemetry:
         identity = int.from_bytes(said["DVID"].data[:4], "big") if "DVID" in said else 0
         name = said["DVNM"].text if "DVNM" in said else ""
         self._names.setdefault(identity, name)
-        seen = self._payloads.setdefault(identity, [])
-        seen.append(len(seen) if payload is None else payload)
+        number = self._payloads[identity] if payload is None else payload
+        self._payloads[identity] += 1
         blocks = self._blocks.setdefault(identity, [])
         for stream in inside:
             if stream.key == "STRM" and stream.kind == NESTED:
-                blocks.extend(_blocks_of(self._entries(stream.data), seen[-1], name))
+                blocks.extend(_blocks_of(self._entries(stream.data), number, name))
 
     def devices(self) -> tuple[Device, ...]:
         """Return the devices, in the order in which they come first."""
         return tuple(
-            Device(name=name, blocks=tuple(self._blocks.get(identity, ())), payloads=len(set(self._payloads[identity])))
-            for identity, name in self._names.items()
+            Device(name=name, blocks=tuple(self._blocks.get(identity, ()))) for identity, name in self._names.items()
         )
 
 

@@ -13,12 +13,10 @@ from ....frozen import value_class
 from ....models.camera import Camera
 from ....recording import Floats, Integers
 from ..solution import Solution
-from ..terms.board_terms import BoardPoints
 from ..terms.corner_sums import exposure_chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
 
-LAGS = (1, 20, 100)
 """Frames after which a corner is compared with itself."""
 
 _CLUSTER_S = 2.0
@@ -29,24 +27,6 @@ _ASKED = 3.0  # sigmas
 _ENOUGH_CORNERS = 20_000  # that tell what a lens lacks
 LAST_TERM = {"radtan": 4, "radtan5": 6}
 """Power of the radius, beside the radius itself, at which the series of a lens is cut off."""
-
-
-@value_class(eq=True)
-class CornerCorrelation:
-    """How the residuals of corners are correlated; independent errors would give zeros.
-
-    Attributes
-    ----------
-    rms_px : of the residuals that count, per axis
-    lags : frames
-    over_time : correlation of a corner's residual with itself so many frames later; nan where there is none
-    neighbours : correlation in the same frame of corners next to each other, of tags the same corners of two tags
-    """
-
-    rms_px: float
-    lags: tuple[int, ...]
-    over_time: tuple[float, ...]
-    neighbours: float
 
 
 @value_class(eq=True)
@@ -91,25 +71,11 @@ class CountingCorners:
     pixels: Floats
 
 
-def corner_correlation(solution: Solution, every: Sequence[CountingCorners]) -> dict[str, CornerCorrelation]:
-    """Return how the residuals of each camera, its corners at the solution, are correlated, by its name."""
-    parameters = solution.state.parameters
-    neighbours = _neighbours(parameters.board)
-    found: dict[str, CornerCorrelation] = {}
-    for entry, corners in zip(parameters.cameras, every, strict=True):
-        if not len(corners.point):
-            continue
-        frames, points = int(corners.frame.max()) + 1, int(corners.point.max()) + 1
-        grid = np.full((frames, points, 2), np.nan)
-        grid[corners.frame, corners.point] = corners.residual
-        near = neighbours[(neighbours < points).all(axis=1)]
-        found[entry.name] = CornerCorrelation(
-            rms_px=float(np.sqrt(np.mean(corners.residual**2))),
-            lags=LAGS,
-            over_time=tuple(_correlation(grid[:-lag], grid[lag:]) for lag in LAGS),
-            neighbours=_correlation(grid[:, near[:, 0]], grid[:, near[:, 1]]),
-        )
-    return found
+def corner_correlation(corners: CountingCorners) -> float:
+    """Return the correlation of a corner's residual with itself in the next frame; nan where there is none."""
+    grid = np.full((int(corners.frame.max()) + 1, int(corners.point.max()) + 1, 2), np.nan)
+    grid[corners.frame, corners.point] = corners.residual
+    return _correlation(grid[:-1], grid[1:])
 
 
 def board_evidence(every: Sequence[CountingCorners]) -> ResidualPattern:
@@ -249,16 +215,6 @@ def along_board(by_place: Floats, residual: Floats) -> Floats:
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = residual.T
     return np.stack([cos * x + sin * y, side * (cos * y - sin * x)], axis=1)
-
-
-def _neighbours(board: BoardPoints | None) -> Integers:
-    """Return pairs (n, 2) of corners that are next to each other, of tags the same corners of two tags."""
-    if board is None:
-        return np.zeros((0, 2), dtype=np.int64)
-    apart = np.abs(board.points[:, None] - board.points)
-    beside = np.isclose(apart.max(axis=2), board.pitch_m, rtol=0.01) & (apart.min(axis=2) < 0.01 * board.pitch_m)
-    beside &= np.isclose(apart.sum(axis=2), board.pitch_m, rtol=0.01)
-    return np.argwhere(np.triu(beside))
 
 
 def _correlation(a: Floats, b: Floats) -> float:

@@ -48,13 +48,11 @@ class BoardPoints:
     points : (k, 3) nominal places, target frame [m]
     offsets : (k, 3) from there to where they are [m]
     sigma_m : prior standard deviation of an offset, each axis
-    pitch_m : distance of a corner from the same corner of the next tag, or from the next corner or circle
     """
 
     points: Floats
     offsets: Floats
     sigma_m: float
-    pitch_m: float
 
     @classmethod
     def nominal(cls, target: Target) -> "BoardPoints":
@@ -66,13 +64,8 @@ class BoardPoints:
             "charuco": target.square_size_m,
             "landmarks": _SCENE / _SHARE * float(np.sqrt(np.mean((target.points - target.points.mean(axis=0)) ** 2))),
         }
-        side = sides[target.kind]
-        return cls(
-            points=target.points,
-            offsets=np.zeros_like(target.points),
-            sigma_m=_SHARE * side,
-            pitch_m=side * (1 + target.tag_spacing),
-        )
+        offsets = np.zeros_like(target.points)
+        return cls(points=target.points, offsets=offsets, sigma_m=_SHARE * sides[target.kind])
 
     def moved(self, step: Floats) -> "BoardPoints":
         """Return the board with a step (3 k,) of its corners."""
