@@ -50,7 +50,7 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
     findings = [*_backward(samples, dt, label), *irregular, *_repeated(steps, label)]
     findings += [] if irregular else gaps
     if all(finding.code != "rate-changed" for finding in irregular):
-        findings += _rounded(samples, steps, label)
+        findings += _rounded(steps, label)
     if not any(finding.severity in {"warning", "problem"} for finding in findings):
         findings.insert(
             0,
@@ -167,7 +167,7 @@ def _rate_change(steps: _Steps) -> tuple[int, tuple[float, float]] | None:
     return (k, (1e9 / before, 1e9 / after)) if abs(before - after) > _JITTER * min(before, after) else None
 
 
-def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+def _rounded(steps: _Steps, label: str) -> list[Finding]:
     """Find the step of the clock; text often keeps few digits of late timestamps, so blocks are looked at apart."""
     starts = np.linspace(0, max(0, len(steps.dt) - _BLOCK), 8).astype(np.int64)
     blocks = [np.unique(steps.dt[a : a + _BLOCK]) for a in starts]

@@ -50,7 +50,7 @@ def describe_tedaldi(prepared: PreparedImu, search: Search, turned: Turned, grav
     edges = bin_edges(len(t_s))
     still = search.intervals
     intervals = _interval_table(prepared, search, turned, gravity_m_s2)
-    rotations = _rotation_table(prepared, search, turned)
+    rotations = _rotation_table(prepared, turned)
     density, _ = resting_noise(accelerometer.values, still, accelerometer.rate_hz)
     gyroscope = weighted_stream(
         prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest
@@ -109,7 +109,7 @@ def _interval_table(prepared: PreparedImu, search: Search, turned: Turned, gravi
     )
 
 
-def _rotation_table(prepared: PreparedImu, search: Search, turned: Turned) -> RotationTable:
+def _rotation_table(prepared: PreparedImu, turned: Turned) -> RotationTable:
     count = len(turned.u) - 1
     raw = MotionSegments(
         gyroscope=turned.segments.gyroscope + turned.bias,

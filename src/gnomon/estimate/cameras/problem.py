@@ -103,12 +103,6 @@ class Problem:
             huber=HUBER if robust else np.inf,
         )
 
-    def holding(self, own: Mapping[str, np.ndarray], board: tuple[str, ...]) -> "Problem":
-        """Return the problem of some of the lens parameters."""
-        cameras = {name: frames.camera for name, frames in self.views.cameras.items()}
-        layout = SharedLayout.of(cameras, own, board, len(self.views.target))
-        return replace(self, layout=layout, information=_prior_information(self.views, layout, self.prior))
-
     @property
     def freedom(self) -> float:
         """Share of the residuals' freedom that the parameters leave."""

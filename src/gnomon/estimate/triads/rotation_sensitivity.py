@@ -127,7 +127,7 @@ def fit_rotation_sensitivity(
     covariance = np.linalg.inv(normal) + moved @ accelerometer_covariance @ moved.T
     S = invert_matrix(correction)
     to_S = -np.kron(S, S.T)
-    angle, vertical = _turns(turns.rotation, rotations, rate @ correction.T, up[k])
+    angle, vertical = _turns(rotations, rate @ correction.T, up[k])
     covariance = to_S @ covariance @ to_S.T
     return RotationSensitivity(
         sensitivity=S,
@@ -140,7 +140,7 @@ def fit_rotation_sensitivity(
     )
 
 
-def _turns(rotation: Floats, rotations: RestRotations, omega: Floats, up: Floats) -> tuple[Floats, Booleans]:
+def _turns(rotations: RestRotations, omega: Floats, up: Floats) -> tuple[Floats, Booleans]:
     """Return the angle (m,) that each turn went through, whole turns included, and which were about the vertical."""
     first, dt = rotations.segments.first, rotations.segments.dt_s[:, None]
     total = np.add.reduceat(omega * dt, first)
