@@ -120,6 +120,9 @@ def parse_command(arguments: Sequence[str]) -> Command:
     if words[0] in ("-h", "--help"):
         sys.stdout.write(_help())
         raise SystemExit(0)
+    if words in (["simulate", "--help"], ["simulate", "-h"]):
+        sys.stdout.write(_simulate_help())
+        raise SystemExit(0)
     name, words = _split_name(words)
     parsed = parse_line(COMMANDS[name], words, f"gnomon {name}")
     check_ranges(parsed)
@@ -150,6 +153,13 @@ def _split_name(words: Sequence[str]) -> tuple[str, Sequence[str]]:
     raise OptionError(
         f"there is no command {first}. {f'Did you mean {meant}?' if meant else 'gnomon --help lists them.'}"
     )
+
+
+def _simulate_help() -> str:
+    """Return what can be simulated, a line for each kind."""
+    kinds = [f"  {name.partition(' ')[2]:<15}{about}" for name, (_, about) in _GROUPS["try"].items() if " " in name]
+    last = "gnomon simulate KIND --help shows the options of a kind, and examples."
+    return "\n".join(["usage: gnomon simulate KIND [OPTIONS]", "", "kinds:", *kinds, "", last]) + "\n"
 
 
 def _help() -> str:

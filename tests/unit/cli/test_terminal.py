@@ -8,6 +8,7 @@ import pytest
 
 import field_logs
 from gnomon.cli import main
+from gnomon.cli.catalogue import SIMULATED
 from gnomon.cli.summary import finding_lines
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OutputError
@@ -152,3 +153,10 @@ def test_what_follows_from_a_finding_is_named_with_it() -> None:
     assert [line.strip() for line in lines] == ["[! ] A cause. (cause)", "So.", "From it follow: a, b.", "-> Do."]
     assert list(finding_lines([cause, *effects], severity="warning")) == lines
     assert not list(finding_lines([cause, *effects], severity="info"))
+
+
+@pytest.mark.parametrize("words", [["simulate", "--help"], ["simulate", "-h"], ["help", "simulate"]])
+def test_the_help_of_simulate_lists_its_kinds(words, capsys):
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines if line.startswith("  ")} == set(SIMULATED)
