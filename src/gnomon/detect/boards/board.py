@@ -19,6 +19,7 @@ SECOND_BOARD = "on a second board like the stated one"
 DIFFERS = "The stated board differs"
 """Where this is said of images, they show an AprilGrid that is not the stated one."""
 
+_AT_ONCE = 256  # views
 _FEWEST_GAPS = 20
 _ABOVE = 0.37  # of the way to the right: boards in a column have an order, too
 _UPRIGHT = 0.5
@@ -95,16 +96,18 @@ def tag_spacing(views: Sequence[BoardView], target: Target) -> float | None:
     views : of the board, an aprilgrid
     target : the board, whose numbers of rows and columns count
     """
-    found = np.concatenate([_spacings(view, target) for view in views]) if views else np.empty(0)
+    parts = (views[first : first + _AT_ONCE] for first in range(0, len(views), _AT_ONCE))
+    found = np.concatenate([np.empty(0), *(_spacings(part, target) for part in parts)])
     return float(np.median(found)) if len(found) >= _FEWEST_GAPS else None
 
 
-def _spacings(view: BoardView, target: Target) -> Floats:
+def _spacings(views: Sequence[BoardView], target: Target) -> Floats:
     width, height = 2 * target.cols, 2 * target.rows
-    grid = np.full((height, width, 2), np.nan)
-    grid[np.divmod(view.point, width)] = view.pixels
-    along_rows = np.stack([grid[:, k : width - 3 + k : 2] for k in range(4)], axis=2).reshape(-1, 4, 2)
-    along_cols = np.stack([grid[k : height - 3 + k : 2] for k in range(4)], axis=2).reshape(-1, 4, 2)
+    grid = np.full((len(views), height, width, 2), np.nan)
+    for own, view in zip(grid, views, strict=True):
+        own[np.divmod(view.point, width)] = view.pixels
+    along_rows = np.stack([grid[:, :, k : width - 3 + k : 2] for k in range(4)], axis=3).reshape(-1, 4, 2)
+    along_cols = np.stack([grid[:, k : height - 3 + k : 2] for k in range(4)], axis=3).reshape(-1, 4, 2)
     four = np.concatenate([along_rows, along_cols])
     four = four[np.isfinite(four).all(axis=(1, 2))]
     direction = four[:, 3] - four[:, 0]
