@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
 
-_DELAYED, _CERTAIN, _SURE = "triads-apart", 3.0, 4.0
+_DELAYED, _CERTAIN, _FILTERED = "triads-apart", 3.0, 4.0
 
 _FAST_RAD_S = 2 * pi * 5
 """Angular frequency of a fast motion of a hand, at which a filter is described."""
@@ -97,17 +97,16 @@ def _delay(name: str, shift_s: float, sigma_s: float) -> Finding:
 
 
 def filters_found(filters: "Sequence[FilteredTriad]") -> list[Finding]:
-    """Say which triads show fast motion smaller, or larger, than it is; a warning where that moves a parameter."""
+    """Say which triads show fast motion smaller than it is; a warning where that moves a parameter."""
     return [
         make_finding(
             "triad-filtered",
-            severity="warning" if one.moved > 1 and abs(one.q) > _SURE * one.sigma else "info",
+            severity="warning" if one.moved > 1 and one.q > _FILTERED * one.sigma else "info",
             name=f"imu{one.imu}",
             triad=("gyroscope", "accelerometer")[one.kind],
-            share=abs(one.q) * _FAST_RAD_S**2,
+            share=one.q * _FAST_RAD_S**2,
             sigma=one.sigma * _FAST_RAD_S**2,
-            case="low-pass" if one.q > 0 else "",
-            cutoff_hz=1 / (2 * pi * sqrt(2 * abs(one.q))),
+            cutoff_hz=1 / (2 * pi * sqrt(2 * one.q)),
             moved=one.moved,
         )
         for one in filters

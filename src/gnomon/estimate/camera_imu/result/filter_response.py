@@ -49,7 +49,9 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
     sigmas, added = np.sqrt(np.diag(found.covariance)), np.zeros_like(found.covariance)
     for k, q, variance, along in zip(told.tolist(), covariance @ pull[told], np.diag(covariance), moves.T, strict=True):
         sigma = float(np.sqrt(variance)) * ratios[k]
-        if abs(q) > _ASKED * sigma:
+        if q < -_ASKED * sigma:
+            return found  # no filter of first order makes fast motion larger: another one, whose noise is not white
+        if q > _ASKED * sigma:
             moved = float(np.max(np.abs(q * along) / sigmas))
             filters.append(FilteredTriad(imu=k // 2, kind=k % 2, q=float(q), sigma=sigma, moved=moved))
             added += np.outer(along, along) * q**2

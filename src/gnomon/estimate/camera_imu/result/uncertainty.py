@@ -78,7 +78,7 @@ class TimeClusters:
 
 @value_class
 class FilteredTriad:
-    """A triad that shows fast motion smaller, or larger, than it is.
+    """A triad that shows fast motion smaller than it is.
 
     Attributes
     ----------
