@@ -125,7 +125,7 @@ def test_a_camera_whose_pose_nothing_states_is_left_out(monkeypatch):
     assert note.startswith("the images of cam1 were left out")
 
 
-@pytest.mark.parametrize(("low", "limits"), [(47, 0), (43, 1), (20, 2)])
+@pytest.mark.parametrize(("low", "limits"), [(43, 0), (40, 1), (20, 2)])
 def test_landmarks_that_come_and_go_are_those_of_blurred_images(low, limits):
     frame = np.concatenate([np.full(50 if k % 2 else low, k) for k in range(3, 40)])  # none in the first images
     share = landmark_map.coming_and_going(SimpleNamespace(frame=frame))

@@ -48,7 +48,7 @@ _FAINT, _PRUNED = 3.0, 3  # of a point whose sightings scatter; rounds
 _SEEN_TIMES = 22.0  # landmarks that are followed through a key frame; found again there are some times as many
 _MOST_LANDMARKS = 300
 _ALIKE = 0.8  # correlation of landmarks in a scene that repeats itself; elsewhere 0.4 to 0.7
-_COMING = 0.1, 0.2  # share of landmarks that come or go: warned of, refused; waved 0.02 to 0.05, shaken from 0.15 on
+_COMING = 0.2, 0.3  # share of landmarks that come or go: warned of, refused; waved 0.02 to 0.05, shaken 0.09 to 0.26
 _REACH_PX, _NEAR_PX = 18.0, 6.0
 _SCALE_SIGMA = 7e-4  # of focal lengths that errors of few landmarks feign: as freed lenses scatter in twelve rooms
 
