@@ -9,12 +9,12 @@ import sys
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 6  # of kernel.c, which `library` is written for
+_INTERFACE = 5  # of kernel.c, which `library` is written for
 
 
 _LOOPS = (
     *("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "running_sums", "descend_corners"),
-    *("fit_homography", "unpack", "undo_png_filters", "join_columns"),
+    *("fit_homography", "undo_png_filters", "join_columns"),
 )
 
 
@@ -35,8 +35,7 @@ def _library() -> ctypes.CDLL | None:
             return None
         for name in _LOOPS:
             found[f"gnomon_{name}"].restype = None
-        for name in ("unpack", "undo_png_filters", "join_columns"):
-            found[f"gnomon_{name}"].restype = ctypes.c_int64
+        found.gnomon_undo_png_filters.restype = found.gnomon_join_columns.restype = ctypes.c_int64
     except (OSError, AttributeError):  # of another processor, damaged, of another version
         return None
     return found

@@ -1,6 +1,6 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
    of an exposure, and what is added to the normal equations; rotations from rates; running sums for Allan variances; and
-   the fit of corners to the pixels around them, and of a board to its corners; pictures in PNG, and rows of a table. Each does what the NumPy code beside its
+   the fit of corners to the pixels around them, and of a board to its corners; rows of a PNG, and of a table. Each does what the NumPy code beside its
    caller does (estimate/camera_imu/terms, estimate/multiposition, estimate/allan, detect), to rounding; equations and
    names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
@@ -28,7 +28,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 6 /* changes whenever the arguments of a function do */
+#define INTERFACE 5 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -932,170 +932,6 @@ CLONES EXPORT void gnomon_fit_homography(int64_t n, const double *points, const 
 
 /* pictures (readers/images/image_pixels.py) */
 
-#define AT_ONCE 11 /* bits of a code that are looked up at once */
-
-/* A code of Deflate (RFC 1951, 3.2.2). Of the next bits `table` tells how many belong to what they are, the number of
-   literals (0: another symbol; up to two), and these; 0 where that is longer, and `count` and `symbols` tell. */
-typedef struct {
-    uint32_t table[1 << AT_ONCE];
-    uint16_t count[16], symbols[288];
-} Code;
-
-/* Packed bytes; `have` of the bits are counted, those above are the same as will be counted next. */
-typedef struct {
-    const uint8_t *next, *end;
-    uint64_t bits;
-    int have;
-} Packed;
-
-static int make_code(Code *code, const uint8_t *lengths, int n) {
-    int begin[17] = {0}, place[17] = {0};
-    memset(code, 0, sizeof *code);
-    for (int i = 0; i < n; i++) code->count[lengths[i]]++;
-    code->count[0] = 0;
-    for (int l = 1; l < 16; l++) {
-        begin[l + 1] = (begin[l] + code->count[l]) << 1, place[l + 1] = place[l] + code->count[l];
-        if (begin[l] + code->count[l] > 1 << l) return 0;
-    }
-    for (int i = 0; i < n; i++) {
-        const int l = lengths[i];
-        if (!l) continue;
-        code->symbols[place[l]++] = (uint16_t)i;
-        const int word = begin[l]++;
-        int at = 0; /* the word, its first bit lowest */
-        for (int k = 0; k < l; k++) at |= (word >> k & 1) << (l - 1 - k);
-        for (; l <= AT_ONCE && at < 1 << AT_ONCE; at += 1 << l)
-            code->table[at] = (uint32_t)l | (i < 256) << 8 | (uint32_t)i << 16;
-    }
-    return 1;
-}
-
-static void pair_literals(Code *code) { /* from the end: those that follow are single still */
-    for (int at = (1 << AT_ONCE) - 1; at >= 0; at--) {
-        const uint32_t one = code->table[at], two = code->table[at >> (one & 255)], both = (one & 255) + (two & 255);
-        if (one >> 8 & two >> 8 & 1 && both <= AT_ONCE)
-            code->table[at] = both | 2 << 8 | (one >> 16 & 255) << 16 | (two >> 16 & 255) << 24;
-    }
-}
-
-INLINE void fill(Packed *from) {
-    if (from->end - from->next >= 8) {
-        uint64_t word = 0;
-        for (int k = 0; k < 8; k++) word |= (uint64_t)from->next[k] << 8 * k;
-        from->bits |= word << from->have, from->next += (63 - from->have) >> 3, from->have |= 56;
-    } else
-        for (; from->have >= 0 && from->have <= 56 && from->next < from->end; from->have += 8)
-            from->bits |= (uint64_t)*from->next++ << from->have;
-}
-
-INLINE int take(Packed *from, int n) {
-    const int value = (int)(from->bits & (((uint64_t)1 << n) - 1));
-    from->bits >>= n, from->have -= n;
-    return value;
-}
-
-INLINE int take_symbol(Packed *from, const Code *code) { /* -1 where there is none */
-    const uint32_t known = code->table[from->bits & ((1 << AT_ONCE) - 1)];
-    if (known) return take(from, (int)(known & 255)), (int)(known >> 16);
-    for (int l = 1, word = 0, first = 0, at = 0; l < 16; l++) {
-        word |= (int)(from->bits >> (l - 1) & 1);
-        if (word - first < code->count[l]) return take(from, l), code->symbols[at + word - first];
-        at += code->count[l], first = (first + code->count[l]) << 1, word <<= 1;
-    }
-    return -1;
-}
-
-static int take_codes(Packed *from, Code *literals, Code *distances) {
-    static const uint8_t order[19] = {16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15};
-    uint8_t lengths[320] = {0};
-    const int n = take(from, 5) + 257, m = take(from, 5) + 1, k = take(from, 4) + 4;
-    for (int i = 0; i < k; i++) fill(from), lengths[order[i]] = (uint8_t)take(from, 3);
-    if (n > 286 || m > 30 || !make_code(literals, lengths, 19)) return 0;
-    memset(lengths, 0, sizeof lengths);
-    for (int i = 0; i < n + m;) {
-        fill(from);
-        const int symbol = take_symbol(from, literals);
-        if (symbol < 0 || from->have < 0 || (symbol == 16 && !i)) return 0;
-        if (symbol < 16) {
-            lengths[i++] = (uint8_t)symbol;
-            continue;
-        }
-        const uint8_t same = symbol == 16 ? lengths[i - 1] : 0;
-        int times = symbol == 16 ? 3 + take(from, 2) : symbol == 17 ? 3 + take(from, 3) : 11 + take(from, 7);
-        if (i + times > n + m) return 0;
-        while (times--) lengths[i++] = same;
-    }
-    return lengths[256] && make_code(distances, lengths + n, m) && make_code(literals, lengths, n);
-}
-
-/* Unpacks one block into out, of which `done` bytes are there. Returns how many are then, -1 where it is not right. */
-INLINE int64_t unpack_block(Packed *from, const Code *literals, const Code *distances, uint8_t *out, int64_t done,
-                            int64_t size) {
-    static const uint16_t lengths[29] = {3,  4,  5,  6,  7,  8,  9,  10, 11,  13,  15,  17,  19,  23, 27,
-                                         31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258};
-    for (;;) {
-        fill(from);
-        uint32_t known = literals->table[from->bits & ((1 << AT_ONCE) - 1)];
-        while (known >> 8 & 3) {
-            out[done] = (uint8_t)(known >> 16), out[done + 1] = (uint8_t)(known >> 24), done += known >> 8 & 3;
-            take(from, (int)(known & 255));
-            if (done > size || from->have < 0) return -1;
-            if (from->have < 48) fill(from);
-            known = literals->table[from->bits & ((1 << AT_ONCE) - 1)];
-        }
-        const int symbol = take_symbol(from, literals);
-        if (symbol < 0 || symbol > 285 || from->have < 0) return -1;
-        if (symbol == 256) return done;
-        if (symbol < 256) {
-            if (done >= size) return -1;
-            out[done++] = (uint8_t)symbol;
-            continue;
-        }
-        const int i = symbol - 257, length = lengths[i] + take(from, i < 8 || i == 28 ? 0 : (i >> 2) - 1);
-        fill(from);
-        const int j = take_symbol(from, distances);
-        if (j < 0 || j > 29) return -1;
-        const int64_t back = j < 4 ? j + 1 : ((int64_t)(2 + (j & 1)) << ((j >> 1) - 1)) + 1 + take(from, (j >> 1) - 1);
-        if (from->have < 0 || back > done || length > size - done) return -1;
-        for (int k = 0; k < length; k++, done++) out[done] = out[done - back];
-    }
-}
-
-/* Unpacks Deflate with zlib's header (RFC 1950 and 1951), `size` bytes and no other number of them; out has room for two
-   more. Returns other than 0 where it is not right; sums of the bytes, which PNG has its own of, are not looked at. */
-EXPORT int64_t gnomon_unpack(const uint8_t *packed, int64_t n, uint8_t *out, int64_t size) {
-    Packed from = {packed + 2, packed + n, 0, 0};
-    Code literals, distances;
-    int64_t done = 0;
-    if (n < 2 || (packed[0] & 15) != 8 || (256 * packed[0] + packed[1]) % 31 || packed[1] & 32) return 1;
-    for (int last = 0; !last;) {
-        fill(&from);
-        last = take(&from, 1);
-        const int kind = take(&from, 2);
-        if (kind == 0) {
-            take(&from, from.have & 7), fill(&from);
-            const int length = take(&from, 16), check = take(&from, 16);
-            from.next -= from.have >> 3, from.bits = 0;
-            if (from.have < 0 || length != (check ^ 65535) || length > from.end - from.next || length > size - done)
-                return 1;
-            from.have = 0;
-            memcpy(out + done, from.next, (size_t)length);
-            from.next += length, done += length;
-            continue;
-        }
-        if (kind == 1) {
-            uint8_t lengths[320];
-            for (int i = 0; i < 288; i++) lengths[i] = i < 144 ? 8 : i < 256 ? 9 : i < 280 ? 7 : 8;
-            memset(lengths + 288, 5, 30);
-            make_code(&literals, lengths, 288), make_code(&distances, lengths + 288, 30);
-        } else if (kind == 3 || !take_codes(&from, &literals, &distances))
-            return 1;
-        pair_literals(&literals);
-        if ((done = unpack_block(&from, &literals, &distances, out, done, size)) < 0) return 1;
-    }
-    return done != size;
-}
-
 INLINE void undo_png_filter(int filter, int64_t width, const uint8_t *x, const uint8_t *above, uint8_t *pixels) {
     unsigned left = 0, corner = 0;
     for (int64_t i = 0; i < width; i++) {
@@ -1136,8 +972,7 @@ EXPORT int64_t gnomon_join_columns(const char *first, const char *others, char *
     for (others++, first++; *others == '['; first++) {
         while (*first != ',' && *first != ']') *out++ = *first++;
         *out++ = ',';
-        const char *end = strchr(++others, ']');
-        memcpy(out, others, (size_t)(end - others)), out += end - others, others = end;
+        for (others++; *others != ']'; others++) *out++ = *others;
         *out++ = '\n';
         if (*++others == ',') others++;
     }

@@ -238,16 +238,7 @@ def solve_homography(points: Floats, pixels: Floats) -> Floats:
     return found
 
 
-def unpack_deflated(packed: bytes, size: int) -> NDArray[np.uint8] | None:
-    """Return what zlib packed, in half of zlib's time; None where that is not `size` bytes, or damaged."""
-    library = load_kernel()
-    assert library is not None
-    found = np.empty(size + 2, dtype=np.uint8)
-    wrong = library.gnomon_unpack(ctypes.c_char_p(packed), _long(len(packed)), _out(found), _long(size))
-    return None if wrong else found[:size]
-
-
-def undo_png_filters(rows: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8] | None:
+def undo_png_filters(rows: bytes, width: int, height: int) -> NDArray[np.uint8] | None:
     """Return the pixels (height, width) of a PNG of one byte each; None where a row has a filter that does not exist.
 
     Parameters
@@ -258,7 +249,7 @@ def undo_png_filters(rows: NDArray[np.uint8], width: int, height: int) -> NDArra
     assert library is not None
     assert len(rows) == height * (width + 1)
     found = np.empty((height, width), dtype=np.uint8)
-    strange = library.gnomon_undo_png_filters(_long(height), _long(width), _at(rows), _out(found))
+    strange = library.gnomon_undo_png_filters(_long(height), _long(width), ctypes.c_char_p(rows), _out(found))
     return None if strange else found
 
 

@@ -4,7 +4,6 @@ import io
 import shutil
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 
 import cv2
@@ -19,7 +18,7 @@ from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.deviation import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.multiposition.rotations import MotionSegments, integrate_rates
-from gnomon.kernel.library import join_columns, unpack_deflated
+from gnomon.kernel.library import join_columns
 from gnomon.writers.apply import _lines
 
 ROOT = Path(__file__).parents[3]
@@ -161,43 +160,6 @@ def test_lines_of_a_table_are_those_of_python(columns):
         lines = bytes(join_columns(*texts))
         assert lines == _lines(*texts)
         np.testing.assert_array_equal(np.loadtxt(io.BytesIO(lines), delimiter=",", ndmin=2)[:, 1:], values[:count])
-
-
-@compiled
-@pytest.mark.parametrize("strategy", [zlib.Z_DEFAULT_STRATEGY, zlib.Z_HUFFMAN_ONLY, zlib.Z_RLE, zlib.Z_FIXED])
-@pytest.mark.parametrize("level", [0, 1, 9])
-def test_what_zlib_packed_is_unpacked(level, strategy):
-    rng = np.random.default_rng(4)
-    for count in (0, 1, 300, 70_000):
-        walk = np.cumsum(rng.integers(-1, 2, count))
-        for values in (rng.integers(0, 256, count), rng.normal(128, 3, count), np.zeros(count), walk, walk // 40):
-            content = values.astype(np.uint8).tobytes()
-            packing = zlib.compressobj(level, zlib.DEFLATED, 15, 9, strategy)
-            packed = packing.compress(content) + packing.flush()
-            found = unpack_deflated(packed, count)
-            assert found is not None
-            assert found.tobytes() == content
-            for size in (count - 1, count + 1):
-                assert size < 0 or unpack_deflated(packed, size) is None
-
-
-@compiled
-def test_damaged_bytes_are_unpacked_as_by_zlib_or_not_at_all():
-    rng = np.random.default_rng(6)
-    content = rng.normal(128, 5, 3000).astype(np.uint8).tobytes()
-    packed, refused = zlib.compress(content), 0
-    for _ in range(2000):
-        damaged = bytearray(packed)
-        damaged[int(rng.integers(len(packed)))] ^= 1 << int(rng.integers(8))
-        found = unpack_deflated(bytes(damaged), len(content))
-        try:
-            expected = zlib.decompressobj().decompress(damaged[:-4], len(content) + 1)
-        except zlib.error:
-            expected = None
-        refused += found is None
-        assert found is None or found.tobytes() == expected
-    assert refused > 500
-    assert all(unpack_deflated(packed[:kept], len(content)) is None for kept in range(len(packed) - 4))
 
 
 def test_it_can_be_switched_off(monkeypatch):

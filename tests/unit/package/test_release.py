@@ -10,7 +10,7 @@ import yaml
 from gnomon import __version__
 
 ROOT = Path(__file__).parents[3]
-OTHER_NAMES = {"opencv-python-headless": "py-opencv"}
+OTHER_NAMES = {"opencv-python-headless": "py-opencv", "isal": "python-isal"}
 
 
 def names_and_versions(requirements):

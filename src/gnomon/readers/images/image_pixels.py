@@ -12,12 +12,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...frozen import value_class
 from ...kernel import load_kernel
-from ...kernel.library import undo_png_filters, unpack_deflated
+from ...kernel.library import undo_png_filters
 from ...recording.frames import Grey
 
 Buffer = bytes | memoryview
@@ -256,7 +257,7 @@ def _decoded(data: Buffer, where: str) -> NDArray[Any]:
     found = None
     if len(data) and not fault:
         _hush()
-        with suppress(cv2.error, MemoryError):
+        with suppress(cv2.error, MemoryError, isal_zlib.error):
             found = _plain_png(memoryview(data))
         if found is None:
             with suppress(cv2.error, MemoryError):
@@ -276,10 +277,9 @@ def _plain_png(data: memoryview) -> Grey | None:
             packed.append(content)
         elif kind not in _PNG_PLAIN:
             return None
-    if not width:
-        return None
-    rows = unpack_deflated(b"".join(packed), height * (width + 1))
-    return None if rows is None else undo_png_filters(rows, width, height)
+    size = height * (width + 1)
+    rows = isal_zlib.decompressobj().decompress(b"".join(packed), size)
+    return undo_png_filters(rows, width, height) if width and len(rows) == size else None
 
 
 def _chunks(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
