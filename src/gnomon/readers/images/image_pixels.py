@@ -22,6 +22,7 @@ from ...kernel.library import undo_png_filters
 from ...recording.frames import Grey
 
 Buffer = bytes | memoryview
+_ISAL_ERROR: type[Exception] = isal_zlib.error  # pyright: ignore[reportAssignmentType]  # its stub says Exception
 
 
 @value_class(eq=True)
@@ -257,7 +258,7 @@ def _decoded(data: Buffer, where: str) -> NDArray[Any]:
     found = None
     if len(data) and not fault:
         _hush()
-        with suppress(cv2.error, MemoryError, isal_zlib.error):
+        with suppress(cv2.error, MemoryError, _ISAL_ERROR):
             found = _plain_png(memoryview(data))
         if found is None:
             with suppress(cv2.error, MemoryError):
