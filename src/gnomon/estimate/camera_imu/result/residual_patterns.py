@@ -17,8 +17,6 @@ from ..terms.corner_sums import exposure_chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
 
-"""Frames after which a corner is compared with itself."""
-
 _CLUSTER_S = 2.0
 _CELLS = (8, 6)  # of the image, across and down
 _FEWEST_CLUSTERS = 6
