@@ -172,6 +172,9 @@ timestamps of its own has a delay in every model."""
 EXTRAS = (DELAY, EXPOSURE, "intrinsics", "k3")
 """Steps beyond the model of the IMU."""
 
+_GRAVITY = "gravity.magnitude"
+"""Held at a value that is off, it makes motion look larger or smaller, as an exposure does."""
+
 _CHANGES = 3
 """Blocks that a step is said to have moved."""
 
@@ -192,6 +195,7 @@ def evaluate_nested_models(
     forced : step -> whether it is in the model, of those on which the recording does not decide
     least : step -> gain of the log-likelihood that it must bring, however certain it is
     """
+    held = [k for k, name in enumerate(layout.names) if name == _GRAVITY and not layout.free[k]]
     candidates = [
         CandidateBlock(
             name=name,
@@ -200,6 +204,7 @@ def evaluate_nested_models(
             forced=forced.get(name),
             least=least.get(name, 0.0),
             alike=name == EXPOSURE,
+            beside=np.array(held if name == EXPOSURE else [], dtype=np.int64),
         )
         for name in LADDER
         if len(columns := step_columns(layout, name))

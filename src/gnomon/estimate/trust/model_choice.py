@@ -8,7 +8,7 @@ tried the more is needed.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class CandidateBlock:
     least : gain of the log-likelihood that is needed, however certain it is
     alike : whether its columns are one effect that only makes them larger: clusters that pull them so prove it, also
         where they are too few for their gains to; pulled the other way it brings nothing
+    beside : (m,) columns that move along while it is judged: what is held may be wrong, and look like it
     """
 
     name: str
@@ -47,6 +48,7 @@ class CandidateBlock:
     forced: bool | None = None
     least: float = 0.0
     alike: bool = False
+    beside: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @value_class
@@ -123,6 +125,9 @@ class _Bench:
 
     def step(self, candidate: CandidateBlock, kept: Sequence[CandidateBlock]) -> CandidateStep:
         """Return what a candidate brings to a model."""
+        if len(candidate.beside):
+            name = f"beside {candidate.name}"
+            kept = [*kept, CandidateBlock(name=name, columns=candidate.beside, away=np.zeros(len(candidate.beside)))]
         without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
         gain, needed = float(gains.sum()), self._by_chance(gains)

@@ -6,10 +6,12 @@ accelerometer; q is held at zero, and tested by the step that it would take if i
 """
 
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 
-from ....recording import Floats
+from ....frozen import value_class
+from ....recording import Floats, Integers
 from ..batch import RigState, error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, taken_together
@@ -19,16 +21,18 @@ from ..trajectory import BIAS, POSE
 from .cluster_sums import bias_sides
 from .uncertainty import FilteredTriad, Uncertainty
 
-_APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
+_LEAST_APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
 _ASKED = 3.0  # sigmas
 _LEAST_SHARE = 1e-6  # of x'' that the rest must leave
+_HELD = {"gravity.magnitude": 0.02, "target.scale": 3e-3}  # m/s^2, 1; what is held may be off by, and feigns a filter
 _SHAPES = (("S_g", "M_g", "q_bg"), ("S_a", "M_a"))
 
 
 def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
     """Return the uncertainty with that by filters which the readings prove (Schmidt).
 
-    Only triads whose scales and axes are estimated are looked at: errors of these look like x'', too.
+    Only triads whose scales and axes are estimated are looked at: errors of these look like x'', too. So do those of
+    gravity and of the board's size, which may move along by what they usually are off.
     """
     step, free, means = solution.step, solution.layout.free_index, bias_sides(solution)
     ratios = [_ratio(found, imu, kind) for imu in range(len(solution.noise.imus)) for kind in (0, 1)]
@@ -36,9 +40,10 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
         return found
     right, border, own, pull = _products(solution)
     inner, with_sides, sides = step.factor.further_sides(right, border, np.concatenate([[0], means]))
-    moves = step.covariance @ sides[free]
-    pull -= with_sides[0] + step.factor.schur_sides[free, 0] @ moves
-    information = np.diag(own) - inner - sides[free].T @ moves
+    moves, also = step.covariance @ sides[free], _moving_along(solution)
+    along_with = also.covariance @ sides[also.columns]
+    pull -= with_sides[0] + step.factor.schur_sides[also.columns, 0] @ along_with
+    information = np.diag(own) - inner - sides[also.columns].T @ along_with
     told = np.flatnonzero((np.diag(information) > _LEAST_SHARE * own) & (np.array(ratios) > 0))
     information = information[np.ix_(told, told)]
     if not len(told) or np.linalg.det(information) <= _LEAST_SHARE * np.prod(np.diag(information)):
@@ -56,6 +61,31 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
             filters.append(FilteredTriad(imu=k // 2, kind=k % 2, q=float(q), sigma=sigma, moved=moved))
             added += np.outer(along, along) * q**2
     return replace(found, covariance=found.covariance + added, ordinary=found.ordinary + added, filters=tuple(filters))
+
+
+@value_class
+class _MovingAlong:
+    """Columns that are free, or held at what may be off, and their covariance."""
+
+    columns: Integers
+    covariance: Floats
+
+
+def _moving_along(solution: Solution) -> _MovingAlong:
+    layout = solution.layout
+    held = {
+        column: sigma
+        for name, sigma in _HELD.items()
+        if (block := layout.get(name)) is not None
+        for column in range(block.start, block.stop)
+        if not layout.free[column]
+    }
+    columns = np.concatenate([layout.free_index, np.array([*held], dtype=np.int64)])
+    known = np.concatenate([np.zeros(len(layout.free_index)), 1 / np.square([*held.values()])])
+    information = solution.step.factor.schur[np.ix_(columns, columns)] + np.diag(known)
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    sizes = np.outer(scale, scale)
+    return _MovingAlong(columns=columns, covariance=np.linalg.inv(information * sizes) * sizes)
 
 
 def _ratio(found: Uncertainty, imu: int, kind: int) -> float:
@@ -109,15 +139,20 @@ def _linearised_at(solution: Solution) -> RigState:
 
 
 def _second_differences(data: InertialData, solution: Solution) -> list[tuple[int, Floats]]:
-    """Return x'' of what the triads of some readings should have read, (n, 3), in the noise of a reading."""
+    """Return x'' of what the triads of some readings should have read, (n, 3), in the noise of a reading.
+
+    They lie whole knots apart: what a spline cannot follow repeats with the knots, and is in the residuals, too.
+    """
     state, noise = solution.state, solution.noise.imus[data.imu]
+    spacing_s = state.trajectory.grid.spacing_s
+    apart_s = spacing_s * ceil(_LEAST_APART_S / spacing_s - 1e-6)
     before, at, after = (
         predicted_readings(state.trajectory, state.parameters, replace(data, t_s=data.t_s + shift_s))
-        for shift_s in (-_APART_S, 0.0, _APART_S)
+        for shift_s in (-apart_s, 0.0, apart_s)
     )
     triads = ((data.gyroscope, noise.gyroscope), (data.accelerometer, noise.accelerometer))
     return [
-        (kind, np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * (triad.used / (sigma * _APART_S**2))[:, None])
+        (kind, np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * (triad.used / (sigma * apart_s**2))[:, None])
         for kind, (triad, sigma) in enumerate(triads)
         if triad is not None
     ]
