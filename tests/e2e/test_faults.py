@@ -95,7 +95,7 @@ def test_the_doctor_leaves_a_healthy_rig_alone(seed):
 
 @pytest.mark.parametrize("seed", [0, 5005, 5006])
 def test_a_healthy_recording_of_a_rig_passes(seed):
-    """Also where gravity is stated 0.15 % off, and where a shaken rig's samples are few: neither is a filter or a blur."""
+    """Gravity that is stated 0.15 % off, and few samples of a shaken rig, are neither an exposure nor a filter."""
     found = healthy(("camera-imu", seed))
     assert found.verdict == "pass", [str(finding) for finding in found.loud]
     assert not {"exposure-found", "triad-filtered"} & {finding.code for finding in found.findings}
