@@ -40,8 +40,10 @@ class Table:
         self.last = t_ns
 
 
-def record(folder: Path, sockets: list[str], size: tuple[int, int], fps: float) -> None:
-    """Record until Ctrl-C, or until the device is gone."""
+def record(
+    folder: Path, sockets: list[str], size: tuple[int, int], fps: float, exposure: tuple[int, int] | None
+) -> None:
+    """Record until Ctrl-C, or until the device is gone; exposure in microseconds and ISO, None for automatic."""
     acc = Table(folder / "imu0-acc.csv", "t [ns],ax [m/s^2],ay,az")
     gyr = Table(folder / "imu0-gyr.csv", "t [ns],gx [rad/s],gy,gz")
     lists = [Table(folder / f"cam{i}" / "data.csv", "timestamp [ns],filename") for i in range(len(sockets))]
@@ -52,6 +54,8 @@ def record(folder: Path, sockets: list[str], size: tuple[int, int], fps: float) 
         imu.setMaxBatchReports(20)
         samples = imu.out.createOutputQueue(maxSize=200, blocking=True)
         cameras = [pipeline.create(dai.node.Camera).build(getattr(dai.CameraBoardSocket, name)) for name in sockets]
+        for camera in cameras if exposure else ():
+            camera.initialControl.setManualExposure(*exposure)
         images = [camera.requestOutput(size, fps=fps).createOutputQueue(maxSize=30) for camera in cameras]
         pipeline.start()
         while pipeline.isRunning():
@@ -81,8 +85,11 @@ def main() -> None:
     parser.add_argument("--sockets", nargs="*", default=["CAM_B"], help="cameras; none for the IMU alone")
     parser.add_argument("--size", nargs=2, type=int, default=[640, 400], help="width and height of the images")
     parser.add_argument("--fps", type=float, default=20.0)
+    parser.add_argument("--exposure-us", type=int, help="exposure time, such as 5000 (default: automatic)")
+    parser.add_argument("--iso", type=int, default=800, help="sensitivity, with --exposure-us")
     given = parser.parse_args()
-    record(given.folder, given.sockets, tuple(given.size), given.fps)
+    exposure = (given.exposure_us, given.iso) if given.exposure_us else None
+    record(given.folder, given.sockets, tuple(given.size), given.fps, exposure)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ class PlayedPipeline:
 
     def __init__(self, packets, frames, stop):
         self.sent = {"imu": [Namespace(packets=packets[:50]), Namespace(packets=packets[50:])], "camera": frames}
-        self.stop, self.rounds = stop, 0
+        self.stop, self.rounds, self.exposures = stop, 0, []
 
     def __enter__(self):
         return self
@@ -53,6 +53,7 @@ class PlayedPipeline:
         output = Namespace(createOutputQueue=lambda **_: queue)
         made = Namespace(out=output, requestOutput=lambda size, fps: output)
         made.build = lambda socket: made
+        made.initialControl = Namespace(setManualExposure=lambda *exposure: self.exposures.append(exposure))
         for name in ("enableIMUSensor", "setBatchReportThreshold", "setMaxBatchReports"):
             setattr(made, name, lambda *_: None)
         return made
@@ -79,16 +80,18 @@ def test_an_oak_d_is_recorded_as_a_folder_that_is_read(stop, tmp_path, monkeypat
         for i, j in enumerate(slower)
     ]
     frames = [Frame(t, np.zeros(3)) for t in t_us[: 10 * 20 : 20]]
+    pipeline = PlayedPipeline(packets, frames, stop)
     played = Namespace(
-        Pipeline=lambda: PlayedPipeline(packets, frames, stop),
+        Pipeline=lambda: pipeline,
         node=Namespace(IMU="imu", Camera="camera"),
         IMUSensor=Namespace(ACCELEROMETER_RAW=1, GYROSCOPE_RAW=2),
         CameraBoardSocket=Namespace(CAM_B="left"),
         CameraExposureOffset=Namespace(MIDDLE="middle"),
     )
     monkeypatch.setitem(sys.modules, "depthai", played)
-    monkeypatch.setattr(sys, "argv", ["oak_d.py", str(tmp_path / "rig")])
+    monkeypatch.setattr(sys, "argv", ["oak_d.py", str(tmp_path / "rig"), "--exposure-us", "5000"])
     runpy.run_path(str(OAK), run_name="__main__")
+    assert pipeline.exposures == [(5000, 800)]
     imu = read(tmp_path / "rig" / "imu0-acc.csv", tmp_path / "rig" / "imu0-gyr.csv").imus["imu0"]
     np.testing.assert_array_equal(imu.accelerometer.t_ns, 1000 * t_us)
     np.testing.assert_allclose(imu.accelerometer.values, truth.force)
