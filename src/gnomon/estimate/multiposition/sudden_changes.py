@@ -75,7 +75,7 @@ class _Change:
     @property
     def covariance(self) -> Floats:
         """Covariance (3, 3)."""
-        return self.variance * np.linalg.inv(self.information)
+        return np.asarray(self.variance * np.linalg.inv(self.information), dtype=np.float64)
 
 
 def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -> ParameterChange | None:
