@@ -93,7 +93,7 @@ def parameter_blocks(parameters: RigParameters) -> tuple[ParameterBlock, ...]:
             ParameterBlock(name=f"{name}.T_cam_imu.translation", size=3, weak_sigma=(1.0,) * 3, unit="m"),
             ParameterBlock(name=f"{name}.time_shift_cam_imu", size=1, weak_sigma=(0.1,), unit="s"),
             ParameterBlock(name=f"{name}.line_delay", size=1, weak_sigma=(1e-4,), unit="s"),
-            ParameterBlock(name=f"{name}.exposure_squared", size=1, weak_sigma=(1e-3,), unit="s^2"),
+            ParameterBlock(name=f"{name}.exposure_squared", size=1, weak_sigma=(1e-2,), unit="s^2"),
             ParameterBlock(name=f"{name}.intrinsics", size=count, weak_sigma=sigmas[:count], unit="px", pure=count - 4),
         ]
         if len(sigmas) > count:
