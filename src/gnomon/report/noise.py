@@ -22,9 +22,10 @@ from ..results.sensor_noise import (
     NoiseResult,
     TriadNoise,
 )
+from .certificate.tables import certificate_tables
 from .drawing.figures import AXES, Plot, Sheet, draw_envelope, log_limits, set_y_limits
 from .drawing.panel import DASHED, Panel
-from .numbers import finite_values, highest_finite, number_text, quantity_text, si_prefix, with_sigma
+from .numbers import finite_values, highest_finite, number_text, quantity_text, readable_unit, si_prefix, with_sigma
 from .page import (
     Code,
     Figure,
@@ -38,13 +39,8 @@ from .page import (
     render_page,
     typeset_finding,
 )
-from .sections import provenance_section
+from .sections import NOISE_HEADLINES, provenance_section
 
-_HEADLINES = {
-    "pass": "This noise is good to use.",
-    "warn": "This noise can be used, with the reservations below.",
-    "fail": "Do not use this noise.",
-}
 COLORS = {"quantisation": "t1", "white_noise": "t2", "bias_instability": "t3", "random_walk": "t4", "rate_ramp": "t5"}
 """Kind of noise -> colour."""
 _MEANING = {
@@ -83,23 +79,23 @@ def noise_page(result: NoiseResult, compared: DatasheetComparison | None = None)
         title="Noise of an IMU",
         subject=names,
         verdict=noise.verdict,
-        headline=_HEADLINES[noise.verdict],
+        headline=NOISE_HEADLINES[noise.verdict],
         key_numbers=_key_numbers(result),
         findings=tuple(typeset_finding(finding) for finding in noise.findings if finding.code != "assumed"),
         sections=(*folded, _conventions(), _use(), provenance_section(noise.provenance)),
         footer=f"Made by gnomon {noise.provenance.gnomon_version}. This file needs no network and no other file.",
-        front=figures,
+        front=(*certificate_tables(noise), *figures),
     )
 
 
 def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
     numbers: list[KeyNumber] = []
     for sensor, triad in result.noise.triads.items():
-        density = _pretty(UNITS[sensor]["white_noise"])
-        walk = _pretty(UNITS[sensor]["random_walk"])
-        scatter = quantity_text(triad.noise_density * sqrt(triad.rate_hz), _pretty(SENSOR_UNITS[sensor]))
+        density = readable_unit(UNITS[sensor]["white_noise"])
+        walk = readable_unit(UNITS[sensor]["random_walk"])
+        scatter = quantity_text(triad.noise_density * sqrt(triad.rate_hz), readable_unit(SENSOR_UNITS[sensor]))
         datasheet = ", ".join(
-            f"{number_text(factor * triad.noise_density, 3)}\u00a0{_pretty(unit)}"
+            f"{number_text(factor * triad.noise_density, 3)}\u00a0{readable_unit(unit)}"
             for unit, factor in DATASHEET_UNITS[sensor]["white_noise"]
         )
         bound = "" if triad.random_walk_found else "at most "
@@ -148,9 +144,11 @@ def _table(sensor: str, triad: TriadNoise) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for name in COEFFICIENTS:
         axes = [axis.coefficients()[name] for axis in triad.axes]
-        rows.append((f"{name.replace('_', ' ')} {SYMBOLS[name]}", *map(_text, axes), _pretty(UNITS[sensor][name])))
+        rows.append(
+            (f"{name.replace('_', ' ')} {SYMBOLS[name]}", *map(_text, axes), readable_unit(UNITS[sensor][name]))
+        )
         for unit, factor in DATASHEET_UNITS[sensor].get(name, ()):
-            rows.append(("", *(_text(one.scaled(factor)) for one in axes), _pretty(unit)))
+            rows.append(("", *(_text(one.scaled(factor)) for one in axes), readable_unit(unit)))
     misfit = ("misfit of the curve", *(f"{number_text(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
     return ReportTable(sensor.capitalize(), ("", *AXES, "unit"), (*rows, misfit), dense=True)
 
@@ -170,7 +168,7 @@ def _datasheet(compared: DatasheetComparison) -> Section:
             number_text(one.stated, 3),
             number_text(one.expected, 3),
             f"{'< ' if one.bound else ''}{number_text(one.ratio, 2)}",
-            _pretty(one.unit),
+            readable_unit(one.unit),
         )
         for one in compared.quantities
     ]
@@ -185,7 +183,7 @@ def _datasheet(compared: DatasheetComparison) -> Section:
 
 
 def _curves(result: NoiseResult, sensor: str, compared: DatasheetComparison | None) -> Section:
-    noise, curve, unit = result.noise.triads[sensor], result.curves[sensor], _pretty(SENSOR_UNITS[sensor])
+    noise, curve, unit = result.noise.triads[sensor], result.curves[sensor], readable_unit(SENSOR_UNITS[sensor])
     t_init_s = result.noise.t_init_s if sensor == "gyroscope" else float("nan")
     legend = [Legend("line", axis, axis) for axis in AXES]
     legend += [Legend("band", "before", "95 % interval"), Legend("dash", "ink", "noise that was found")]
@@ -255,12 +253,6 @@ def _use() -> Section:
             ),
         ),
     )
-
-
-def _pretty(unit: str) -> str:
-    for plain, pretty in (("^2", "²"), ("^3", "³"), ("sqrt(Hz)", "√Hz"), ("sqrt(h)", "√h"), ("ug", "µg")):
-        unit = unit.replace(plain, pretty)
-    return unit
 
 
 _DENSE = 160

@@ -137,9 +137,22 @@ def estimate_text(value: float, sigma: float, unit: str = "", *, sign: bool = Fa
     return (f"{text} ± {spread}" if spread else text) + (f"\u00a0{unit}" if unit else "")
 
 
+_PRINTED = (
+    ("^2", "²"),
+    ("^3", "³"),
+    ("sqrt(Hz)", "√Hz"),
+    ("sqrt(h)", "√h"),
+    ("deg/", "°/"),
+    ("uT", "µT"),
+    ("ug", "µg"),
+)
+
+
 def readable_unit(unit: str) -> str:
     """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
-    return unit.replace("^2", "²").replace("deg/s", "°/s").replace("uT", "µT")
+    for plain, printed in _PRINTED:
+        unit = unit.replace(plain, printed)
+    return unit
 
 
 _MAGNITUDES = {"m/s^2": ("m/s²", 1.0), "rad/s": ("rad/s", 1.0), "uT": ("T", 1e-6)}

@@ -13,6 +13,7 @@ HEADLINES = {
     "warn": "This calibration can be used, with the reservations below.",
     "fail": "Do not use this calibration.",
 }
+NOISE_HEADLINES = {verdict: line.replace("calibration", "noise") for verdict, line in HEADLINES.items()}
 FRAMES = {
     "accel-x": "the x axis of the body is the sensitivity axis of the x accelerometer, and the y accelerometer lies in "
     "the x-y plane (Kalibr's convention)",

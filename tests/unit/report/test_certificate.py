@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from camera_imu_result import make_camera_imu_result
+from gnomon import save_noise
 from gnomon.assess.priors import gravity_part
 from gnomon.assess.uncertainty_budget import uncertainty_budget
+from gnomon.cli import main
 from gnomon.cli.command import CertificateFacts
 from gnomon.cli.inputs import result_with_reading
 from gnomon.errors import OptionError
@@ -17,7 +19,8 @@ from gnomon.report import write_report
 from gnomon.report.certificate.pdf import write_certificate
 from gnomon.report.certificate.tables import budget_table, certificate_tables
 from gnomon.report.page import parameter_line
-from gnomon.results.calibration import Covariance
+from gnomon.results.calibration import Covariance, Provenance
+from gnomon.results.sensor_noise import AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.results.sensors import TemperatureDependence
 from html_page import Page
 
@@ -121,6 +124,32 @@ def test_the_pdf_has_two_pages_and_the_same_bytes_again(stated, tmp_path):
     assert content == (tmp_path / "b.pdf").read_bytes()
     assert len(re.findall(rb"/Type /Page\b", content)) == 2
     assert b"CreationDate" not in content
+
+
+def test_noise_has_a_certificate_too(tmp_path):
+    pytest.importorskip("matplotlib")
+    found = [Coefficient(value=value, sigma=0.01 * value) for value in (2e-3, 2.5e-3, 3e-3)]
+    none = Coefficient(value=0.0, bound=4e-5)
+    axes = tuple(
+        AxisNoise(white_noise=one, bias_instability=none, random_walk=none, quantisation=none, rate_ramp=none)
+        for one in found
+    )
+    triad = TriadNoise(rate_hz=100.0, samples=720_000, tau_s=(0.01, 600.0), axes=axes)
+    made = Provenance(method="noise", options={"serial": "A-17"})
+    noise = SensorNoise(
+        accelerometer=triad, gyroscope=None, t_init_s=np.nan, verdict="warn", findings=(), provenance=made
+    )
+    stated, numbers, criteria = certificate_tables(noise)
+    assert stated.rows == [("Serial number", "A-17")]
+    assert [row[1:3] for row in numbers.rows] == [
+        ("0.002000", "0.000040"), ("0.002500", "0.000050"), ("0.003000", "0.000060"), *[("< 4·10⁻⁵", "–")] * 3
+    ]  # fmt: skip
+    assert criteria.marked == 1
+    write_certificate(noise, tmp_path / "noise.pdf")
+    assert len(re.findall(rb"/Type /Page\b", (tmp_path / "noise.pdf").read_bytes())) == 1
+    save_noise(noise, tmp_path / "noise.yaml")
+    assert main(["certificate", str(tmp_path / "noise.yaml")]) == 0
+    assert main(["certificate", str(tmp_path / "noise.yaml"), "-o", str(tmp_path / "noise.xml")]) == 2
 
 
 def test_a_missing_library_is_named_with_its_extra(stated, tmp_path, monkeypatch):

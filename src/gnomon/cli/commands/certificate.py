@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from ...errors import OptionError
 from ..command import CalibrationPath, Command, output_option
 from ..output_folder import default_folder
-from ..results import exit_code
+from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
 
 
@@ -25,7 +26,7 @@ class Certificate(Command):
     """
 
     calibration: CalibrationPath
-    """The folder of a result, or its calibration.yaml."""
+    """The folder of a result, or its calibration.yaml or noise.yaml."""
     output: Annotated[Path | None, output_option("FILE")] = None
     """PDF or XML file to write (default: RESULT-certificate.pdf beside the result)."""
     country: str = "ZZ"
@@ -33,18 +34,23 @@ class Certificate(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the certificate, and return the exit code of the calibration."""
-        from ...formats.own.calibration_file import calibration_at, load
+        from ...formats.own.calibration_file import calibration_at, is_noise, load
+        from ...formats.own.noise_file import load_noise
+        from ...results.calibration import Calibration
 
-        calibration = load(calibration_at(self.calibration))
+        path = calibration_at(self.calibration)
+        result = load_noise(path) if is_noise(path) else load(path)
         output = self.output or default_folder((self.calibration,), "certificate.pdf")
         if output.suffix.lower() == ".xml":
             from ...writers.digital_certificate import write_digital_certificate
 
-            write_digital_certificate(calibration, output, country=self.country)
+            if not isinstance(result, Calibration):
+                raise OptionError(f"{output}: an XML certificate is of a calibration; of noise make a PDF.")
+            write_digital_certificate(result, output, country=self.country)
         else:
             from ...report.certificate.pdf import write_certificate
 
-            write_certificate(calibration, output)
+            write_certificate(result, output)
         terminal.print(f"certificate  {output}")
-        terminal.document({"verdict": calibration.verdict, "file": str(output)})
-        return exit_code(calibration)
+        terminal.document({"verdict": result.verdict, "file": str(output)})
+        return UNUSABLE if result.verdict == "fail" else USABLE

@@ -10,8 +10,9 @@ from ...errors import OptionError, install_line
 from ...findings import printable_text
 from ...output import write_whole
 from ...results.calibration import Calibration
+from ...results.sensor_noise import SensorNoise
 from ..page import ReportTable, typeset_finding
-from ..sections import HEADLINES
+from ..sections import HEADLINES, NOISE_HEADLINES
 from .tables import budget_table, certificate_tables
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ _TONES = {"pass": "#1a6b3c", "warn": "#8a5a00", "fail": "#b3261e"}
 _SIZE, _SMALL = 9.0, 7.8
 
 
-def write_certificate(calibration: Calibration, path: str | Path) -> None:
-    """Write the certificate of a calibration; the same calibration gives the same bytes.
+def write_certificate(result: Calibration | SensorNoise, path: str | Path) -> None:
+    """Write the certificate of a calibration, or of noise, which has no budget; the same one gives the same bytes.
 
     Raises
     ------
@@ -48,9 +49,10 @@ def write_certificate(calibration: Calibration, path: str | Path) -> None:
         raise OptionError(f"a certificate needs Matplotlib. Run: {install_line('gnomon[certificate]')}") from None
     stream = io.BytesIO()
     with rc_context({"font.family": "DejaVu Sans", "pdf.fonttype": 42, "text.parse_math": False}):
-        sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(2)]
-        _Sheet(sheets[0]).fill(calibration)
-        _Sheet(sheets[1]).fill_budget(calibration)
+        sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(1 if isinstance(result, SensorNoise) else 2)]
+        _Sheet(sheets[0]).fill(result)
+        if not isinstance(result, SensorNoise):
+            _Sheet(sheets[1]).fill_budget(result)
         with PdfPages(stream, metadata={"CreationDate": None, "Title": "Calibration certificate"}) as pages:
             for sheet in sheets:
                 pages.savefig(sheet)
@@ -63,17 +65,19 @@ class _Sheet:
     def __init__(self, figure: "Figure") -> None:
         self._figure, self._y = figure, _TOP
 
-    def fill(self, calibration: Calibration) -> None:
+    def fill(self, result: Calibration | SensorNoise) -> None:
         """Write verdict and findings, the numbers, inputs."""
-        verdict, provenance = calibration.verdict, calibration.provenance
-        self._text("Calibration certificate", size=18, bold=True, step=2.2)
-        self._text(f"{verdict.capitalize()}. {HEADLINES[verdict]}", size=12, color=_TONES[verdict], bold=True, step=1.8)
-        pressing = [f for f in calibration.assessment.findings if f.severity in ("warning", "problem")]
+        verdict, provenance, noise = result.verdict, result.provenance, isinstance(result, SensorNoise)
+        findings = result.findings if isinstance(result, SensorNoise) else result.assessment.findings
+        headline = (NOISE_HEADLINES if noise else HEADLINES)[verdict]
+        self._text("Certificate of noise" if noise else "Calibration certificate", size=18, bold=True, step=2.2)
+        self._text(f"{verdict.capitalize()}. {headline}", size=12, color=_TONES[verdict], bold=True, step=1.8)
+        pressing = [f for f in findings if f.severity in ("warning", "problem")]
         for finding in pressing[:4]:
             self._wrapped(f"{finding.severity}: {typeset_finding(finding).message}")
         if len(pressing) > 4:
             self._wrapped(f"{len(pressing) - 4} more findings are in the report.")
-        for table in certificate_tables(calibration):
+        for table in certificate_tables(result):
             self._table(table)
         self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
         for source in provenance.inputs[:5]:

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
 from ...results.calibration import Calibration
+from ...results.sensor_noise import UNITS, SensorNoise
 from ..imu_parameters import groups_over_temperature, imu_groups, parameter_groups
-from ..numbers import MISSING, fixed_text, number_text, readable_unit
+from ..numbers import MISSING, fixed_text, number_text, readable_unit, with_sigma
 from ..page import ParameterGroup, ReportTable
 
 STATED: Mapping[str, str] = FrozenMapping(
@@ -23,6 +24,8 @@ STATED: Mapping[str, str] = FrozenMapping(
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
 BUDGET_TITLE = "Where the uncertainty comes from"
+_HEAD = ("", "estimate", "U = 2σ", "unit")
+_EXPANDED = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %)."
 _MOST = 14
 """Numbers on page one."""
 _MATTERS = ("scale", "bias")
@@ -34,26 +37,28 @@ _CRITERIA = (
 )
 
 
-def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
+def certificate_tables(result: Calibration | SensorNoise) -> tuple[ReportTable, ...]:
     """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
-    tables = _stated(calibration), _numbers(calibration), *_over_temperature(calibration), _criteria(calibration)
-    return tuple(table for table in tables if table.rows)
+    numbers = (
+        (_noise_numbers(result),) if isinstance(result, SensorNoise) else (_numbers(result), *_over_temperature(result))
+    )
+    return tuple(table for table in (_stated(result), *numbers, _criteria(result)) if table.rows)
 
 
-def stated_facts(calibration: Calibration) -> list[tuple[str, str]]:
+def stated_facts(calibration: Calibration | SensorNoise) -> list[tuple[str, str]]:
     """Return name and text of what was stated of the sensor and the measurement."""
     options = calibration.provenance.options
     units: dict[str, str] = dict.fromkeys(("temperature_c", "chip_degc"), "\u00a0°C")
     return [(name, options[key] + units.get(key, "")) for key, name in STATED.items() if key in options]
 
 
-def _stated(calibration: Calibration) -> ReportTable:
+def _stated(calibration: Calibration | SensorNoise) -> ReportTable:
     return ReportTable("Certificate", ("", ""), stated_facts(calibration), prose=True)
 
 
 def _numbers(calibration: Calibration) -> ReportTable:
     rows: list[tuple[str, ...]] = []
-    note = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %). Without U: fixed, or not estimated."
+    note = f"{_EXPANDED} Without U: fixed, or not estimated."
     for where, group in _groups(calibration):
         if rows and len(rows) + len(group.rows) > _MOST:  # a group is shown as a whole
             break
@@ -62,13 +67,22 @@ def _numbers(calibration: Calibration) -> ReportTable:
             for row in group.rows
         ]
         note += f" {where}Attitude: {group.note}." if group.title == "Attitude" else ""
-    return ReportTable(
-        "The numbers that matter",
-        ("", "estimate", "U = 2σ", "unit"),
-        rows,
-        note,
-        dense=True,
-    )
+    return ReportTable("The numbers that matter", _HEAD, rows, note, dense=True)
+
+
+def _noise_numbers(noise: SensorNoise) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    for sensor, triad in noise.triads.items():
+        for kind in ("white_noise", "random_walk"):
+            for axis, own in zip("xyz", triad.axes, strict=True):
+                found = own.coefficients()[kind]
+                value, expanded = f"< {number_text(found.bound, 2)}", MISSING
+                if found.found:
+                    value, expanded = with_sigma(found.value, 2 * found.sigma)
+                name = f"{sensor.capitalize()} {kind.replace('_', ' ')} {axis}"
+                rows.append((name, value, expanded, readable_unit(UNITS[sensor][kind])))
+    note = f"{_EXPANDED} Without U: not seen, an upper bound (about 97 %)."
+    return ReportTable("The numbers that matter", _HEAD, rows, note, dense=True)
 
 
 def _over_temperature(calibration: Calibration) -> Iterator[ReportTable]:
@@ -176,7 +190,7 @@ def budget_table(calibration: Calibration) -> ReportTable:
     )
 
 
-def _criteria(calibration: Calibration) -> ReportTable:
+def _criteria(calibration: Calibration | SensorNoise) -> ReportTable:
     verdict = [name for name, _ in _CRITERIA].index(calibration.verdict)
     return ReportTable(
         "What the verdict means",
