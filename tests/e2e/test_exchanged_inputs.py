@@ -39,7 +39,7 @@ CASES = {
     "noise result/diagnostics.npz": "belongs to a calibration and is no recording",
     "show log.npz": "Is it the recording, given in the place of the calibration?",
     "apply log.npz result": "Is it the recording, given in the place of the calibration?",
-    "certificate noise -o c.pdf": "This file holds the noise of a sensor",
+    "apply noise log.npz -o c.csv": "This file holds the noise of a sensor",
     "show runs": "runs: this is a folder, without a calibration.yaml",
     "imu cameras": "cameras: this folder holds corners of cameras, for gnomon camera",
     "imu runs": "gnomon imu and gnomon temperature take several recordings of one sensor",
