@@ -1,5 +1,6 @@
 """A calibration that still holds is said to; one number that was changed is named, with its size."""
 
+import hashlib
 import json
 from dataclasses import replace
 from functools import cache
@@ -9,9 +10,11 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
+from gnomon.cli.commands.verify import read_verification
 from gnomon.estimate.trust.changes import estimates_alone
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.options.requirements import Use
+from gnomon.report.certificate.tables import certificate_tables
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
 LOOSE = Use(name="loose", words="a test", needs={"accelerometer_scale": 0.05})
@@ -222,6 +225,26 @@ def test_the_command_says_it_in_its_exit_code(tmp_path, capsys, monkeypatch):
     assert json.loads((tmp_path / "out" / "verification.json").read_text())["state"] == "moved"
     assert json.loads(said[said.index("{") :])["state"] == "moved"
     assert "gyroscope" in (tmp_path / "out" / "report.html").read_text()
+    _make_its_certificate(tmp_path)
+
+
+def _make_its_certificate(tmp_path):
+    pytest.importorskip("matplotlib")
+    assert main(["verify", "wrong.yaml", "today.csv", "--serial", "A-17", "--date", "2026-11-27", "-o", "out"]) == 4
+    known = read_verification(tmp_path / "out" / "verification.json")
+    assert [block.path for block in known.moved] == ["imu0.gyroscope.scale"]
+    assert known.moved[0].values.shape == (3,)
+    stated, blocks, criteria = certificate_tables(known)
+    assert stated.rows == [("Serial number", "A-17"), ("Date", "2026-11-27")]
+    assert {row[4] for row in blocks.rows} == {"moved", "holds"}
+    assert criteria.rows[criteria.marked][0] == known.verdict
+    written = {name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() for name in ("today.csv", "wrong.yaml")}
+    assert {source.name: source.sha256 for source in known.provenance.inputs} == written
+    assert main(["certificate", "out", "-o", "out.pdf"]) == (4 if known.verdict == "fail" else 0)
+    assert (tmp_path / "out.pdf").read_bytes().startswith(b"%PDF")
+    assert main(["certificate", "out", "-o", "out.xml"]) == 2
+    (tmp_path / "out" / "verification.json").write_text('{"subject": "", "state": "fine"}')
+    assert main(["certificate", "out"]) == 3
 
 
 def test_a_magnetometer_beside_new_iron_is_named():

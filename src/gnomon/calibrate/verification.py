@@ -66,11 +66,26 @@ def verify(
     known = calibration if isinstance(calibration, Calibration | ForeignCalibration) else _loaded(calibration)
     known = _at_its_temperature(known, recording)
     frozen = ComparisonCandidate.of("the calibration", known)
-    if not isinstance(recording, Recording):
-        fresh = recording.calibration if isinstance(recording, Result) else recording
-        _refuse_its_own(frozen, fresh.provenance.inputs)
-        return _held_against(frozen, fresh, None, use)
-    _refuse_its_own(frozen, recording.sources)
+    fresh = recording.calibration if isinstance(recording, Result) else recording
+    sources = fresh.sources if isinstance(fresh, Recording) else fresh.provenance.inputs
+    _refuse_its_own(frozen, sources)
+    if isinstance(fresh, Recording):
+        found = _by_recording(known, frozen, fresh, target, use, progress)
+    else:
+        found = _held_against(frozen, fresh, None, use)
+    stated = known.provenance.options if isinstance(known, Calibration) else {}
+    sensor = {name: stated[name] for name in ("sensor", "serial") if name in stated}
+    return replace(found, provenance=replace(found.provenance, inputs=tuple(sources), options=sensor))
+
+
+def _by_recording(  # noqa: PLR0917
+    known: Calibration | ForeignCalibration,
+    frozen: ComparisonCandidate,
+    recording: Recording,
+    target: Target | None,
+    use: Use | None,
+    progress: Progress | None,
+) -> Verification:
     with suppress(GnomonError, np.linalg.LinAlgError):
         with estimates_alone() as postponed:
             quick = _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)

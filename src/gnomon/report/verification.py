@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from .._version import __version__
-from ..assess.comparison.verification import Verification, movement_words
+from ..assess.comparison.verification import Verification
 from ..output import write_whole
-from .page import KeyNumber, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
+from .certificate.tables import certificate_tables
+from .page import KeyNumber, Prose, ReportPage, Section, render_page, typeset_finding
 
 
 def write_verification_report(verification: Verification, path: str | Path, subject: str = "") -> None:
@@ -26,14 +27,6 @@ def write_verification_report(verification: Verification, path: str | Path, subj
 def verification_page(verification: Verification, subject: str = "") -> ReportPage:
     """Return the page of a verification; see `write_verification_report`."""
     untold = sum(one.state == "cannot tell" for one in verification.blocks)
-    table = ReportTable(
-        "Block by block",
-        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", ""),
-        [movement_words(block) for block in verification.blocks],
-        "By how much the recording finds each block elsewhere if all others hold, but those that moved. z: standard "
-        f"deviations of a single number that are as improbable; from {verification.certain_z:.1f} on a block moved for "
-        "certain. Biases are new at each start: their ± includes what is usual.",
-    )
     return ReportPage(
         title="Does the calibration still hold?",
         subject=subject or verification.use,
@@ -45,7 +38,7 @@ def verification_page(verification: Verification, subject: str = "") -> ReportPa
             KeyNumber("Not told", str(untold), "a longer recording may tell" if untold else ""),
         ),
         findings=tuple(typeset_finding(finding) for finding in verification.findings),
-        front=(table,),
+        front=certificate_tables(verification),
         sections=(
             Section(
                 "method",

@@ -15,6 +15,7 @@ l / (1 - l).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
 from math import exp, floor, lgamma, log, log10, pi, sqrt
 from statistics import NormalDist
 from typing import Literal
@@ -26,7 +27,7 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, FIELD_UT, TURN_ON, Use
 from ...recording import Floats, frozen_array
-from ...results.calibration import ImuCalibration
+from ...results.calibration import ImuCalibration, Provenance
 from ...results.trust import QuantityChange, Verdict
 from ..changes import OF_HEADING, lens_movement, needed_of, told_with_cure, unit_of_quantity
 from ..verdict import merge_by_cause, verdict_of
@@ -116,6 +117,7 @@ class Verification:
     use : what the calibration is for, or "general use"
     findings, verdict, headline : as of a calibration
     notes : what was taken for what was not stated
+    provenance : the fresh recording, and what was stated for a certificate
     """
 
     state: State
@@ -125,6 +127,7 @@ class Verification:
     verdict: Verdict
     headline: str
     notes: tuple[str, ...] = ()
+    provenance: Provenance = field(default_factory=lambda: Provenance(method="verify"))
 
     @property
     def moved(self) -> tuple[VerifiedBlock, ...]:

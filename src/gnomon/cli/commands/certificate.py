@@ -9,6 +9,7 @@ from ..command import CalibrationPath, Command, output_option
 from ..output_folder import default_folder
 from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
+from .verify import DATA, read_verification
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class Certificate(Command):
     """
 
     calibration: CalibrationPath
-    """The folder of a result, or its calibration.yaml or noise.yaml."""
+    """The folder of a result, or its calibration.yaml, noise.yaml or verification.json."""
     output: Annotated[Path | None, output_option("FILE")] = None
     """PDF or XML file to write (default: RESULT-certificate.pdf beside the result)."""
     country: str = "ZZ"
@@ -38,14 +39,16 @@ class Certificate(Command):
         from ...formats.own.noise_file import load_noise
         from ...results.calibration import Calibration
 
-        path = calibration_at(self.calibration)
-        result = load_noise(path) if is_noise(path) else load(path)
+        path = Path(calibration_at(self.calibration))
+        path = path / DATA if (path / DATA).is_file() else path
+        read_result = read_verification if path.name == DATA else load_noise if is_noise(path) else load
+        result = read_result(path)
         output = self.output or default_folder((self.calibration,), "certificate.pdf")
         if output.suffix.lower() == ".xml":
             from ...writers.digital_certificate import write_digital_certificate
 
             if not isinstance(result, Calibration):
-                raise OptionError(f"{output}: an XML certificate is of a calibration; of noise make a PDF.")
+                raise OptionError(f"{output}: an XML certificate is of a calibration; of anything else make a PDF.")
             write_digital_certificate(result, output, country=self.country)
         else:
             from ...report.certificate.pdf import write_certificate

@@ -1,12 +1,24 @@
 """The command that verifies a calibration by a fresh recording."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
-from ..command import CamFile, Command, FileOption, ForUse, ImuFiles, Report, TableOptions, output_option, topics_of
+from ..command import (
+    CamFile,
+    CertificateFacts,
+    Command,
+    FileOption,
+    Flat,
+    ForUse,
+    ImuFiles,
+    Report,
+    TableOptions,
+    output_option,
+    topics_of,
+)
 from ..inputs import files_beside, read_use_option, sources_of
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument
@@ -56,6 +68,7 @@ class Verify(Command, TableOptions):
     """Folder for report.html and verification.json (default: NAME-verify beside the recording)."""
     use: ForUse = None
     report: Report = True
+    certificate: Annotated[CertificateFacts, Flat] = field(default_factory=CertificateFacts)
 
     def run(self, terminal: Terminal) -> int:
         """Verify, write the report, and return the exit code."""
@@ -70,6 +83,7 @@ class Verify(Command, TableOptions):
         recording, target = self._read(known, paths, terminal)
         print_assumptions(recording.assumptions, terminal)
         found = verify(known, recording, target, use=use, progress=terminal.progress)
+        found = self._stated(found, paths)
         if self.report:
             _write(found, folder, terminal, f"{self.calibration}, verified by {self.recording.name}, for {found.use}")
         _print(found, terminal)
@@ -79,6 +93,17 @@ class Verify(Command, TableOptions):
         code = {"holds": USABLE, "moved": UNUSABLE, "cannot tell": UNTOLD}[found.state]
         terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code
+
+    def _stated(self, found: "Verification", paths: list[Path]) -> "Verification":
+        """Return it with what a certificate says: the calibration's files, too, and what was stated here."""
+        from ...formats.own.calibration_file import calibration_at
+        from ...readers.files import file_source
+
+        stated = {name: str(value) for name, value in self.certificate.stated.items() if value is not None}
+        frozen = [Path(calibration_at(path)) for path in paths]
+        made = found.provenance
+        inputs = (*made.inputs, *(file_source(path) for path in frozen if path.is_file()))
+        return replace(found, provenance=replace(made, inputs=inputs, options={**made.options, **stated}))
 
     def _read(
         self, known: "Calibration | ForeignCalibration", paths: list[Path], terminal: Terminal
@@ -109,6 +134,23 @@ def _write(found: "Verification", folder: Path, terminal: Terminal, subject: str
         terminal.progress("drawing the report")
         write_verification_report(found, staging / PAGE, subject)
         write_whole(staging / DATA, json.dumps({"subject": subject, **json_value(found)}, indent=2).encode())
+
+
+def read_verification(path: Path) -> "Verification":
+    """Read verification.json.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read, or an older version wrote it; the message names the key.
+    """
+    from ...assess.comparison.verification import Verification
+    from ...formats.shared.structured import read_json
+    from ...formats.shared.typed_values import read_class
+
+    root = read_json(path)
+    kept = {node.key: node.value for node in root.entries() if node.key != "subject"}
+    return read_class(replace(root, value=kept), Verification)
 
 
 def _print(found: "Verification", terminal: Terminal) -> None:

@@ -6,7 +6,10 @@ from functools import partial
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from ...frozen import FrozenMapping
+from ...recording import Floats
 from .structured import Node
 
 Class = TypeVar("Class")
@@ -61,7 +64,12 @@ def read_typed(node: Node, kind: Any) -> Any:
         return {item.key: read_typed(item, arguments[1]) for item in node.entries()}
     if is_dataclass(kind):
         return read_class(node, kind)  # pyright: ignore[reportArgumentType]
-    return {float: Node.number, int: Node.integer, str: Node.text, bool: _truth}[kind](node)
+    plain = {float: Node.number, int: Node.integer, str: Node.text, bool: _truth, np.ndarray: _numbers}
+    return plain[origin or kind](node)
+
+
+def _numbers(node: Node) -> Floats:
+    return np.array([item.number() for item in node.items()])
 
 
 def _truth(node: Node) -> bool:

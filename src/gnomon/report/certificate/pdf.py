@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...assess.comparison.verification import Verification
 from ...errors import OptionError, install_line
 from ...findings import printable_text
 from ...output import write_whole
@@ -13,7 +14,7 @@ from ...results.calibration import Calibration
 from ...results.sensor_noise import SensorNoise
 from ..page import ReportTable, typeset_finding
 from ..sections import HEADLINES, NOISE_HEADLINES
-from .tables import budget_table, certificate_tables
+from .tables import Certified, budget_table, certificate_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +23,13 @@ _WIDTH, _HEIGHT = 8.27, 11.69
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.09, 0.91, 0.955, 0.05
 _LINE = 0.0148
 """Height of a line of text, in heights of the page."""
-_COLUMNS = {2: (0.0, 0.3), 3: (0.0, 0.72, 1.0), 4: (0.0, 0.6, 0.82, 1.0), 7: (0.0, 0.36, 0.58, 0.70, 0.815, 0.91, 1.0)}
+_COLUMNS = {
+    2: (0.0, 0.3),
+    3: (0.0, 0.72, 1.0),
+    4: (0.0, 0.6, 0.82, 1.0),
+    5: (0.0, 0.56, 0.74, 0.81, 1.0),
+    7: (0.0, 0.36, 0.58, 0.70, 0.815, 0.91, 1.0),
+}
 """Number of columns -> where they begin, or end where they hold numbers, in widths of the text."""
 _BESIDE_BUDGET = 8
 """Lines of the page that its title, head and caption take."""
@@ -31,8 +38,10 @@ _TONES = {"pass": "#1a6b3c", "warn": "#8a5a00", "fail": "#b3261e"}
 _SIZE, _SMALL = 9.0, 7.8
 
 
-def write_certificate(result: Calibration | SensorNoise, path: str | Path) -> None:
-    """Write the certificate of a calibration, or of noise, which has no budget; the same one gives the same bytes.
+def write_certificate(result: Certified, path: str | Path) -> None:
+    """Write the certificate of a calibration, or of noise or a verification, which have no budget.
+
+    The same one gives the same bytes.
 
     Raises
     ------
@@ -49,9 +58,9 @@ def write_certificate(result: Calibration | SensorNoise, path: str | Path) -> No
         raise OptionError(f"a certificate needs Matplotlib. Run: {install_line('gnomon[certificate]')}") from None
     stream = io.BytesIO()
     with rc_context({"font.family": "DejaVu Sans", "pdf.fonttype": 42, "text.parse_math": False}):
-        sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(1 if isinstance(result, SensorNoise) else 2)]
+        sheets = [Figure(figsize=(_WIDTH, _HEIGHT)) for _ in range(2 if isinstance(result, Calibration) else 1)]
         _Sheet(sheets[0]).fill(result)
-        if not isinstance(result, SensorNoise):
+        if isinstance(result, Calibration):
             _Sheet(sheets[1]).fill_budget(result)
         with PdfPages(stream, metadata={"CreationDate": None, "Title": "Calibration certificate"}) as pages:
             for sheet in sheets:
@@ -65,13 +74,20 @@ class _Sheet:
     def __init__(self, figure: "Figure") -> None:
         self._figure, self._y = figure, _TOP
 
-    def fill(self, result: Calibration | SensorNoise) -> None:
+    def fill(self, result: Certified) -> None:
         """Write verdict and findings, the numbers, inputs."""
-        verdict, provenance, noise = result.verdict, result.provenance, isinstance(result, SensorNoise)
-        findings = result.findings if isinstance(result, SensorNoise) else result.assessment.findings
-        headline = (NOISE_HEADLINES if noise else HEADLINES)[verdict]
-        self._text("Certificate of noise" if noise else "Calibration certificate", size=18, bold=True, step=2.2)
-        self._text(f"{verdict.capitalize()}. {headline}", size=12, color=_TONES[verdict], bold=True, step=1.8)
+        verdict, provenance, title = result.verdict, result.provenance, "Calibration certificate"
+        findings = result.assessment.findings if isinstance(result, Calibration) else result.findings
+        if isinstance(result, Verification):
+            title, headline = "Certificate of verification", f"{result.headline}."
+        elif isinstance(result, SensorNoise):
+            title, headline = "Certificate of noise", NOISE_HEADLINES[verdict]
+        else:
+            headline = HEADLINES[verdict]
+        self._text(title, size=18, bold=True, step=2.2)
+        for line in textwrap.wrap(f"{verdict.capitalize()}. {headline[:1].upper()}{headline[1:]}", 76):
+            self._text(line, size=12, color=_TONES[verdict], bold=True, step=1.3)
+        self._y -= 0.5 * _LINE
         pressing = [f for f in findings if f.severity in ("warning", "problem")]
         for finding in pressing[:4]:
             self._wrapped(f"{finding.severity}: {typeset_finding(finding).message}")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 
+from ...assess.comparison.verification import Verification, movement_words
 from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
 from ...results.calibration import Calibration
@@ -24,6 +25,7 @@ STATED: Mapping[str, str] = FrozenMapping(
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
 BUDGET_TITLE = "Where the uncertainty comes from"
+Certified = Calibration | SensorNoise | Verification
 _HEAD = ("", "estimate", "U = 2σ", "unit")
 _EXPANDED = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %)."
 _MOST = 14
@@ -37,22 +39,25 @@ _CRITERIA = (
 )
 
 
-def certificate_tables(result: Calibration | SensorNoise) -> tuple[ReportTable, ...]:
+def certificate_tables(result: Certified) -> tuple[ReportTable, ...]:
     """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
-    numbers = (
-        (_noise_numbers(result),) if isinstance(result, SensorNoise) else (_numbers(result), *_over_temperature(result))
-    )
+    if isinstance(result, Verification):
+        numbers = [_blocks(result)]
+    elif isinstance(result, SensorNoise):
+        numbers = [_noise_numbers(result)]
+    else:
+        numbers = [_numbers(result), *_over_temperature(result)]
     return tuple(table for table in (_stated(result), *numbers, _criteria(result)) if table.rows)
 
 
-def stated_facts(calibration: Calibration | SensorNoise) -> list[tuple[str, str]]:
+def stated_facts(calibration: Certified) -> list[tuple[str, str]]:
     """Return name and text of what was stated of the sensor and the measurement."""
     options = calibration.provenance.options
     units: dict[str, str] = dict.fromkeys(("temperature_c", "chip_degc"), "\u00a0°C")
     return [(name, options[key] + units.get(key, "")) for key, name in STATED.items() if key in options]
 
 
-def _stated(calibration: Calibration | SensorNoise) -> ReportTable:
+def _stated(calibration: Certified) -> ReportTable:
     return ReportTable("Certificate", ("", ""), stated_facts(calibration), prose=True)
 
 
@@ -83,6 +88,18 @@ def _noise_numbers(noise: SensorNoise) -> ReportTable:
                 rows.append((name, value, expanded, readable_unit(UNITS[sensor][kind])))
     note = f"{_EXPANDED} Without U: not seen, an upper bound (about 97 %)."
     return ReportTable("The numbers that matter", _HEAD, rows, note, dense=True)
+
+
+def _blocks(verification: Verification) -> ReportTable:
+    return ReportTable(
+        "Block by block",
+        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", ""),
+        [movement_words(block) for block in verification.blocks],
+        "By how much the recording finds each block elsewhere if all others hold, but those that moved; U is 2 σ (k = "
+        "2, about 95 %). z: standard deviations of a single number that are as improbable; from "
+        f"{verification.certain_z:.1f} on a block moved for certain. Biases are new at each start: their ± includes "
+        "what is usual.",
+    )
 
 
 def _over_temperature(calibration: Calibration) -> Iterator[ReportTable]:
@@ -190,7 +207,7 @@ def budget_table(calibration: Calibration) -> ReportTable:
     )
 
 
-def _criteria(calibration: Calibration | SensorNoise) -> ReportTable:
+def _criteria(calibration: Certified) -> ReportTable:
     verdict = [name for name, _ in _CRITERIA].index(calibration.verdict)
     return ReportTable(
         "What the verdict means",
