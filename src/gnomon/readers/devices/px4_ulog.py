@@ -21,6 +21,7 @@ from .device_log import DeviceLog, StampedTriad
 
 MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES, _TELL_BYTES = 16, 1 << 20
+_DATA = ord("D")
 _TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
     "int64_t": "<i8", "uint64_t": "<u8", "float": "<f4", "double": "<f8", "bool": "?", "char": "S1",
@@ -95,17 +96,17 @@ class _Log:
         self._scan()
 
     def _scan(self) -> None:
-        data, total = self.data, len(self.data)
-        header, told = struct.Struct("<HB"), 0
-        while self.end + 3 <= total:
-            if self.end >= told:
-                tell_read(self.name, self.end, total)
-                told = self.end + _TELL_BYTES
-            size, kind = header.unpack_from(data, self.end)
-            begin = self.end + 3
+        data, total, end = self.data, len(self.data), self.end
+        read_header, told = struct.Struct("<HB").unpack_from, 0
+        while end + 3 <= total:
+            if end >= told:
+                tell_read(self.name, end, total)
+                told = end + _TELL_BYTES
+            size, kind = read_header(data, end)
+            begin = end + 3
             if begin + size > total:
                 break
-            if kind == ord("D") and size > 2:
+            if kind == _DATA and size > 2:
                 topic = self.topics.get(data[begin] | data[begin + 1] << 8)
                 if topic is not None and (not topic.size or topic.size == size - 2):
                     topic.size = size - 2
@@ -115,7 +116,8 @@ class _Log:
             elif kind == ord("A") and size > 3:
                 topic = _Topic(name=data[begin + 3 : begin + size].decode("ascii", "replace"), instance=data[begin])
                 self.topics[data[begin + 1] | data[begin + 2] << 8] = topic
-            self.end = begin + size
+            end = begin + size
+        self.end = end
         self.damaged = self.end != total
 
     def _format(self, text: bytes) -> None:
