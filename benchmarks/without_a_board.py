@@ -154,8 +154,11 @@ def print_summary(found, count):
     means = np.sqrt([np.mean(sigma[:, k] ** 2) for k in blocks.values()])
     print("sigma, rms of an axis: t {:.3f} mm, R {:.1f} mdeg, shift {:.1f} us".format(*means))
     for name, k in blocks.items():
-        over = np.array([_over(one, least, k) for one, least in zip(sigma, bound, strict=True)])
-        print(f"{name}: sigma over bound, median {np.median(over):.2f}, most {over.max():.2f}")
+        over, off = (
+            np.array([_over(one, least, k) for one, least in zip(of, bound, strict=True)]) for of in (sigma, error)
+        )
+        print(f"{name}: sigma over bound, median {np.median(over):.2f}, most {over.max():.2f}; ", end="")
+        print(f"error over bound, rms {np.sqrt(np.mean(off**2)):.2f}, above 1.5 in {(off > 1.5).sum()}")
 
 
 def compare_euroc(folder, stated):

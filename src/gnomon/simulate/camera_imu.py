@@ -25,6 +25,7 @@ from .camera_imu_rig import (
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
 from .scenarios.camera_imu import CameraImuScenario
 from .sensor import true_calibration
+from .walk import path_of_walk
 
 
 @value_class(eq=True)
@@ -137,7 +138,10 @@ def simulate_camera_imu(scenario: CameraImuScenario | None = None, seed: int = 0
     offsets = corner_offsets(scenario, target, streams["board"])
     points = scenario.target_scale * (target.points + offsets)
     middle = scenario.target_scale * (target.points.min(axis=0) + target.points.max(axis=0)) / 2
-    path = drawn_path(scenario, middle, nominal_extrinsics(), streams["path"])
+    if scenario.motion == "walk":
+        path = path_of_walk(scenario, middle, streams["path"])
+    else:
+        path = drawn_path(scenario, middle, nominal_extrinsics(), streams["path"])
     exposures = _exposures(scenario, streams)
     rig = drawn_cameras(scenario, streams["rig"])
     imus = _simulated_imus(scenario, seed, path, rig["cam0"].T_cam_imu, streams)

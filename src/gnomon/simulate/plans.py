@@ -5,9 +5,9 @@ from typing import Literal
 from ..errors import OptionError
 from ..frozen import value_class
 from ..options import check_ranges
-from .scenarios.camera_imu import MotionName
+from .scenarios.camera_imu import HandMotionName
 
-PlannedMotion = MotionName | Literal["planar"]
+PlannedMotion = HandMotionName | Literal["planar"]
 
 
 @value_class(eq=True)

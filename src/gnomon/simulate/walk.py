@@ -4,6 +4,8 @@ Nothing is rendered: landmarks lie at both sides of the way and are seen through
 is, off by noise. The path is an ellipse with the steps and the sway of a walk, in closed form (`camera_imu_path`).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..frozen import value_class
@@ -102,7 +104,7 @@ def simulate_walk(
     for_path, for_points, for_tracks, for_imu = np.random.default_rng(seed).spawn(4)
     length_m, duration_s = (float(for_path.uniform(*limits)) for limits in (scenario.length_m, (0.0, 1.0)))
     duration_s = length_m / (scenario.speed_m_s[0] + duration_s * np.ptp(scenario.speed_m_s))
-    path, ellipse = _walked(length_m, duration_s, for_path)
+    path = _walked(length_m, duration_s, for_path)
     rig = CameraImuScenario(
         duration_s=duration_s + 2 * _MARGIN_S, imu_rate_hz=scenario.imu_rate_hz, board_lean_deg=0.0, board_turn_deg=0.0
     )
@@ -111,7 +113,7 @@ def simulate_walk(
     exposed_s = _MARGIN_S + np.linspace(0.0, duration_s, images)
     at = TrueTrajectory.of(rig, path, T_cam_imu, exposed_s)
     R, p = path.pose(exposed_s)
-    points = _landmarks(scenario, ellipse, length_m, for_points)
+    points = _landmarks(scenario, half_axes(path), length_m, for_points)
     last, count, rays = _tracks(scenario, np.swapaxes(R, 1, 2), p, points, for_tracks)
     return SimulatedWalk(
         length_m=length_m,
@@ -144,8 +146,19 @@ _SWAYS = (  # coordinate, rms, lowest and highest frequency [Hz], sinusoids
 """A step takes half a second: the body rises with each, and sways with every other."""
 
 
-def _walked(length_m: float, duration_s: float, rng: np.random.Generator) -> tuple[CameraPath, Floats]:
-    """Return the camera's path, and the two half axes of its ellipse with their signs, along x and z."""
+def path_of_walk(scenario: CameraImuScenario, middle: Floats, rng: np.random.Generator) -> CameraPath:
+    """Draw cam0's path once round an ellipse, about where it would be waved before a board at `middle` (3,) [m]."""
+    speed_m_s = float(rng.uniform(*WalkScenario().speed_m_s))
+    path = _walked(speed_m_s * scenario.duration_s, scenario.duration_s, rng)
+    return replace(path, middle=middle, offset=scenario.distance_m * np.eye(len(COORDINATES))[-1])
+
+
+def half_axes(path: CameraPath) -> Floats:
+    """Return the two half axes of the ellipse of a walk with their signs, along x and z (2,) [m]."""
+    return path.amplitude[[COORDINATES.index("shake_x"), COORDINATES.index("shake_z")], [0, 1]]
+
+
+def _walked(length_m: float, duration_s: float, rng: np.random.Generator) -> CameraPath:
     pulsation, phase, places, sizes = list[float](), list[float](), list[int](), list[float]()
 
     def add(name: str, size: float, frequency_hz: float, start: float) -> None:
@@ -167,7 +180,7 @@ def _walked(length_m: float, duration_s: float, rng: np.random.Generator) -> tup
     amplitude[places, range(len(places))] = sizes
     slope = np.zeros(len(COORDINATES))
     slope[COORDINATES.index("azimuth")] = side * 2 * np.pi / duration_s
-    path = CameraPath(
+    return CameraPath(
         middle=np.zeros(3),
         offset=np.zeros(len(COORDINATES)),
         slope=slope,
@@ -175,7 +188,6 @@ def _walked(length_m: float, duration_s: float, rng: np.random.Generator) -> tup
         phase=np.array(phase),
         amplitude=amplitude,
     )
-    return path, half
 
 
 def _landmarks(scenario: WalkScenario, half: Floats, length_m: float, rng: np.random.Generator) -> Floats:

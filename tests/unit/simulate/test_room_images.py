@@ -10,6 +10,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.simulate import RoomScenario, simulate_camera_imu
 from gnomon.simulate.images.room_images import Surfaces, furnished_room, render_room, room_images, texture_levels
+from gnomon.simulate.walk import half_axes
 
 LENS = Camera(
     projection="pinhole",
@@ -95,6 +96,30 @@ def test_people_walk_beside_what_stands_there():
     alone, together = furnished_room(scenario, middle, 3), furnished_room(replace(scenario, people=2), middle, 3)
     assert all(np.array_equal(a.corner, b.corner) for a, b in zip(alone, together, strict=False))
     assert [bool(one.swing.any()) for one in together] == [False, False, False, True, True]
+
+
+def test_a_walk_leads_once_round_between_the_boxes():
+    lens = {"resolution": (160, 120), "intrinsics": tuple(LENS.intrinsics)}
+    scenario = RoomScenario(motion="walk", duration_s=20.0, furniture=12, surface="plain", **lens)
+    simulation = simulate_camera_imu(scenario.rig(), 3)
+    R, p = simulation.trajectory.path.pose(np.linspace(0, scenario.duration_s, 400))
+    steps = np.diff(p, axis=0)
+    assert 20.0 < np.linalg.norm(steps[:, [0, 2]], axis=1).sum() < 29.0  # 1.0 to 1.4 m/s, and some sway
+    assert np.linalg.norm(p[-1] - p[0]) < 0.3
+    ahead = np.einsum("ij,ij->i", R[:-1, :, 2], steps) / np.linalg.norm(steps, axis=1)
+    assert np.median(ahead) > 0.9
+    middle = simulation.trajectory.path.middle + np.array([0.0, 0.0, simulation.scenario.distance_m])
+    walls, *boxes = furnished_room(scenario, middle, 3, half_axes(simulation.trajectory.path))
+    assert (np.abs(p - middle).max(axis=0) < np.abs(walls.corner - middle).max(axis=0) - 1.0)[[0, 2]].all()
+    inside = []
+    for box in boxes:
+        place = box.corner.mean(axis=0) + np.einsum("fa,faj->j", box.size, box.axes) / 12
+        away = np.linalg.norm((p - place)[:, [0, 2]], axis=1)
+        assert 0.3 < away.min() - np.linalg.norm(box.size[2]) / 2 < 1.5
+        inside.append(np.linalg.norm(place - middle) < np.linalg.norm(p[away.argmin()] - middle))
+    assert 0 < sum(inside) < len(boxes)
+    image = next(iter(room_images(scenario, simulation).streams["cam0"].frames([]))).decode()
+    assert (image > 20).mean() > 0.9
 
 
 def test_images_repeat_and_the_rest_of_the_rig_stays_the_same():

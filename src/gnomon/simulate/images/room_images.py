@@ -22,12 +22,14 @@ from ...recording import Floats
 from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
 from ..scenarios.camera_imu import RoomScenario, Surface
+from ..walk import half_axes
 from .board_images import ViewsOnPath
 from .board_outlines import Singles
 from .motion_segments import MotionSegment, Pose
 from .rendering import add_noise, light_falloff, pixel_rays, usual_light
 
 _TEXEL_M = {True: 0.0025, False: 0.0012}  # of walls, of furniture
+_MOST_TEXELS = 8000  # along a side
 _OCTAVES = ((256, 22.0), (64, 16.0), (16, 14.0), (6, 12.0), (2, 8.0))  # cells [texels], standard deviation [levels]
 _SPOTS_PER_MEGATEXEL = 220
 _TILE = 96  # texels, of a surface that repeats itself
@@ -38,6 +40,7 @@ _MIRROR, _REFLECTED = (
     4,
     0.9,
 )  # number of the wall that the rig faces, and what it shows of the light where it is a mirror
+_ASIDE_M = 5.0  # that a room is wider than the way round
 _PERSON_M, _STRIDE_M = (0.5, 1.7, 0.3), (1.0, 0.0, 0.3)
 _SIDES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))  # axis of the normal, and those of the texture
 
@@ -91,7 +94,7 @@ class Surfaces:
                 axes.append(R[:, [along, across]].T)
                 normals.append(R[:, axis] * (-side if inside else side))
                 sizes.append(size[[along, across]])
-        texel_m = _TEXEL_M[inside]
+        texel_m = max(_TEXEL_M[inside], float(size.max()) / _MOST_TEXELS)
         return cls(
             corner=np.array(corners),
             axes=np.array(axes),
@@ -161,7 +164,9 @@ def texture_levels(texture: Grey) -> tuple[Grey, ...]:
     return tuple(levels)
 
 
-def furnished_room(scenario: RoomScenario, middle: Floats, seed: int) -> tuple[Surfaces, ...]:
+def furnished_room(
+    scenario: RoomScenario, middle: Floats, seed: int, half: Floats | None = None
+) -> tuple[Surfaces, ...]:
     """Return the walls of a room and what stands in it.
 
     Parameters
@@ -169,16 +174,18 @@ def furnished_room(scenario: RoomScenario, middle: Floats, seed: int) -> tuple[S
     scenario : what the room is like
     middle : (3,) where the rig is waved [m]
     seed : every random number follows from it
+    half : (2,) half axes of the ellipse round which it is walked, along x and z [m]; None where it is waved
     """
     rng = np.random.default_rng([seed, 77])
-    room = np.array(scenario.room_m)
+    way = np.zeros(3) if half is None else np.array([abs(half[0]), 0.0, abs(half[1])])
+    room = np.maximum(scenario.room_m, 2 * way + _ASIDE_M * (way > 0))
     found = [Surfaces.box(middle, np.eye(3), room, scenario.surface, rng, inside=True)]
     for k in range(scenario.furniture + scenario.moving):
         size = rng.uniform(0.15, 0.55, 3)
         # the first three stand before the camera; all clear of the hand's reach
-        angle = rng.uniform(-0.6, 0.6) if k < 3 else rng.uniform(-np.pi, np.pi)
-        away = rng.uniform(0.75, 0.95) + np.linalg.norm(size) / 2
-        place = np.array([away * np.sin(angle), rng.uniform(-0.45, 0.25), -away * np.cos(angle)])
+        angle = rng.uniform(-0.6, 0.6) if k < 3 and half is None else rng.uniform(-np.pi, np.pi)
+        away = way + (rng.uniform(0.75, 0.95) + np.linalg.norm(size) / 2) * (1 if half is None else rng.choice([-1, 1]))
+        place = np.array([away[0] * np.sin(angle), rng.uniform(-0.45, 0.25), -away[2] * np.cos(angle)])
         place = np.clip(place, -(room - size) / 2, (room - size) / 2)
         R = rotation_from_rotvec(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
         swing = None if k < scenario.furniture else rng.uniform(0.2, 0.5) * np.array([1.0, 0.5, 0.3])
@@ -335,7 +342,8 @@ def room_images(scenario: RoomScenario, simulation: CameraImuSimulation) -> Imag
     simulation : the rig in it
     """
     middle = simulation.trajectory.path.middle + np.array([0.0, 0.0, simulation.scenario.distance_m])
-    room = furnished_room(scenario, middle, simulation.seed)
+    half = half_axes(simulation.trajectory.path) if scenario.motion == "walk" else None
+    room = furnished_room(scenario, middle, simulation.seed, half)
     streams: dict[str, ImageStream] = {}
     for name, recorded in simulation.recording.cameras.items():
         view = _RoomView(name=name, room=room, scenario=scenario, simulation=simulation)

@@ -10,9 +10,10 @@ from ...errors import OptionError
 from ...options import check_ranges
 from .cameras import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
 
-MotionName = Literal[
+HandMotionName = Literal[
     "gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "around", "slow"
 ]
+MotionName = Literal[HandMotionName, "walk"]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
 
 MOST_IMUS = 8
@@ -30,7 +31,7 @@ class HandMotion:
     normal with a tremor up to 12 Hz. shaky: up to 20 Hz and 10 m/s^2. rolling: normal while turning over and over about
     the optical axis. around: normal while turning to all sides, for a room instead of a board. translation: without any
     turn. one-axis: turns about the optical axis alone. slow: 0.05 rad/s and hardly any acceleration, as who fears blur
-    does. static: at rest."""
+    does. static: at rest. walk: carried once round an ellipse at 1.0 to 1.4 m/s, for a room."""
 
     imu_rate_hz: float = 200.0
     """Sample rate of the IMU."""
@@ -300,10 +301,10 @@ class RoomScenario(TrueLens, HandMotion):
     """Length of the recording in seconds."""
 
     room_m: tuple[float, float, float] = (4.0, 2.6, 4.0)
-    """Width, height and depth of the room in metres; the rig is waved in its middle."""
+    """Width, height and depth of the room in metres; the rig is waved in its middle. A walk widens it."""
 
     furniture: int = 10
-    """Boxes that stand about, up to arm's length from the rig."""
+    """Boxes that stand about, up to arm's length from the rig, or of both sides of its way."""
 
     surface: Surface = "rich"
     """What walls and furniture look like. rich: edges, spots and texture of all sizes. plain: painted evenly.
