@@ -185,7 +185,7 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
         reference = float(resting.mean())
         at_rest = replace(at_rest, degc=temperature_powers(degc, resting, course.step_k))
     changes, functions = accelerometer_course(at_rest)
-    touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
+    touched = disturbed_intervals(chosen, prepared.accelerometer, functions, at_rest.density)
     problem, streams = _problem(prepared, at_rest, touched, options)
     whole = _problem(prepared, at_rest, np.zeros_like(touched), options)[0] if touched.any() else problem
     return _Readings(

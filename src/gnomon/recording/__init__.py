@@ -1,6 +1,15 @@
 """What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
 
-from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbers, smallest_steps, usual_step
+from .arrays import (
+    Floats,
+    Integers,
+    close_gaps,
+    frozen_array,
+    measurable_numbers,
+    remembered,
+    smallest_steps,
+    usual_step,
+)
 from .frames import CameraFrames, FrameQuality, KnownRig
 from .recording import Recording
 from .samples import ImuSamples, Poses, TemperatureSamples, TriadSamples
@@ -24,6 +33,7 @@ __all__ = [
     "measurable_numbers",
     "recorded_hashes",
     "shared_sources",
+    "remembered",
     "smallest_steps",
     "usual_step",
 ]

@@ -1,7 +1,8 @@
 """Arrays of what was measured: read-only, finite, on clocks with gaps."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, TypeVar
 from weakref import ref
 
 import numpy as np
@@ -66,23 +67,31 @@ def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
     return mean if mean > _PACKET_FACTOR * step else step
 
 
-_RATES: dict[int, tuple["ref[Integers]", float]] = {}
+Known = TypeVar("Known")
 
 
+def remembered(function: Callable[[NDArray[Any]], Known]) -> Callable[[NDArray[Any]], Known]:
+    """Keep what a function tells of an array that nobody can change for as long as that lives: many ask for it."""
+    kept: dict[int, tuple[ref[NDArray[Any]], Known]] = {}
+
+    @wraps(function)
+    def once(array: NDArray[Any]) -> Known:
+        key = id(array)
+        if (known := kept.get(key)) is not None and known[0]() is array:
+            return known[1]
+        found = function(array)
+        if not array.flags.writeable:
+            kept[key] = (ref(array, lambda _: kept.pop(key, None)), found)
+        return found
+
+    return once
+
+
+@remembered
 def usual_rate(t_ns: Integers) -> float:
-    """Return the sample rate of timestamps (n,) that nobody can change [Hz], from `usual_step`; nan if unknown.
-
-    Everybody asks for it, and a median of millions takes its time: it is kept for as long as the array lives.
-    """
-    known = _RATES.get(id(t_ns))
-    if known is not None and known[0]() is t_ns:
-        return known[1]
+    """Return the sample rate of timestamps (n,) [Hz], from `usual_step`; nan if unknown."""
     step = usual_step(np.diff(t_ns)) if len(t_ns) > 1 else 0.0
-    rate_hz = 1e9 / step if step > 0 else float("nan")
-    if not t_ns.flags.writeable:
-        key = id(t_ns)
-        _RATES[key] = (ref(t_ns, lambda _: _RATES.pop(key, None)), rate_hz)
-    return rate_hz
+    return 1e9 / step if step > 0 else float("nan")
 
 
 _LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that
@@ -105,6 +114,7 @@ _STEP_SAMPLES = 65_536
 _ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
 
 
+@remembered
 def smallest_steps(values: Floats) -> Floats:
     """Return the smallest change from sample to sample of each axis of values (n, k); nan where it never changes."""
     columns = np.ascontiguousarray(values[:_STEP_SAMPLES].T)  # along which all is fast

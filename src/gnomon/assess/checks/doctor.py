@@ -91,11 +91,10 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
         return []
     both = [np.clip(samples.t_ns, first, last) for samples in (accelerometer, gyroscope)]
     stamps = close_gaps(both, _LONGEST_GAP_NS)
-    grid = np.arange(0, (int(max(t_ns[-1] for t_ns in stamps)) - first) * 1e-9, _GRID_S)
-    pushed, turned = (
-        _stirred(samples.values, np.asarray((t_ns - first) * 1e-9, dtype=np.float64), grid)
-        for samples, t_ns in zip((accelerometer, gyroscope), stamps, strict=True)
-    )
+    times = [np.asarray((t_ns - first) * 1e-9, dtype=np.float64) for t_ns in stamps]
+    grid = np.arange(0, max(t_s[-1] for t_s in times), _GRID_S)
+    windows = [_windows(t_s, grid) for t_s in (times[:1] if np.array_equal(*times) else times)]
+    pushed, turned = _stirred(accelerometer.values, *windows[0]), _stirred(gyroscope.values, *windows[-1])
     lag, best, now = _lag(pushed, turned)
     if abs(lag) < _APART_S or best < _ALIKE or best - now < _GAINED:
         return []
@@ -118,16 +117,20 @@ def _coarseness_s(t_ns: Integers) -> float:
     return float(np.median(steps[steps > 0])) * 1e-9 if (steps > 0).any() else np.inf
 
 
-def _stirred(values: Floats, t_s: Floats, grid: Floats) -> Floats:
-    """Return how much a sensor's readings vary about instants, as a logarithm without mean and of variance one."""
+def _windows(t_s: Floats, grid: Floats) -> tuple[Integers, Integers]:
+    """Return the first sample about each instant of a grid, and one past the last; at least one sample."""
     first = np.searchsorted(t_s, grid - _WIDTH_S / 2)
-    last = np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1)
-    last = np.minimum(last, len(t_s))
-    first = np.minimum(first, last - 1)
+    last = np.minimum(np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1), len(t_s))
+    return np.minimum(first, last - 1), last
+
+
+def _stirred(values: Floats, first: Integers, last: Integers) -> Floats:
+    """Return how much a sensor's readings vary in windows, as a logarithm without mean and of variance one."""
     columns = np.zeros((3, len(values) + 1))
     columns[:, 1:] = values.T
     columns[:, 1:] -= columns[:, 1:].mean(axis=1, keepdims=True)
-    sums, squares = np.cumsum(columns, axis=1), np.cumsum((columns**2).sum(axis=0))
+    squares = np.cumsum(np.einsum("in,in->n", columns, columns))
+    sums = np.cumsum(columns, axis=1, out=columns)
     count = (last - first).astype(np.float64)
     mean = (sums[:, last] - sums[:, first]) / count
     variance = np.maximum((squares[last] - squares[first]) / count - (mean**2).sum(axis=0), 0.0)

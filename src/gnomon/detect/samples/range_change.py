@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...frozen import value_class
-from ...recording import Floats, TriadSamples
+from ...recording import Floats, TriadSamples, remembered
 from ...results.result import StaticIntervals
 
 _FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
@@ -98,17 +98,21 @@ def saturated_samples(samples: TriadSamples, full_scale: float | None = None) ->
     samples : in counts or any unit
     full_scale : end of the range where it is known [unit of the samples]; samples at or beyond +- this are marked, too
     """
+    if full_scale is None or len(samples) < 4:
+        return _flat_tops(samples.values)
+    return _flat_tops(samples.values) | (np.abs(samples.values) >= full_scale * (1 - 1e-9)).any(axis=1)
+
+
+@remembered
+def _flat_tops(samples: Floats) -> Booleans:
     marked = np.zeros(len(samples), bool)
-    if len(samples) < 4:
-        return marked
-    for values in np.ascontiguousarray(samples.values.T):
+    for values in np.ascontiguousarray(samples.T) if len(samples) >= 4 else ():
         noise, median = _noise_and_median(values)
         for extreme in (values.max(), values.min()):
             near = float(abs(extreme - median))
             if near > _FAR * noise and _is_flat_top(values, float(extreme), noise):
                 marked |= values == extreme
-        if full_scale is not None:
-            marked |= np.abs(values) >= full_scale * (1 - 1e-9)
+    marked.flags.writeable = False
     return marked
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...recording import Floats, Integers, TriadSamples, smallest_steps
+from ...recording import Floats, Integers, TriadSamples, remembered, smallest_steps
 from ...results.result import Booleans
 
 _RARE = 0.01
@@ -39,6 +39,7 @@ def without_readings(values: Floats, at: Integers) -> Floats:
     return mended
 
 
+@remembered
 def isolated_readings(values: Floats) -> Integers:
     """Return the indices of single readings that neither neighbour supports, as of a disturbed bus.
 
@@ -68,10 +69,15 @@ def _off_the_line(values: Floats) -> Booleans:
     found = np.zeros(n, dtype=bool)
     if n < 2 * k + 2:
         return found
-    columns = np.ascontiguousarray(values[np.r_[1, 0:n, n - 2]].T)  # along which all is fast; mirrored at both ends
-    off = np.abs(columns[:, 1:-1] - 0.5 * (columns[:, :-2] + columns[:, 2:]))
+    columns = np.empty((3, n + 2))  # along which all is fast; mirrored at both ends
+    columns[:, 0], columns[:, 1:-1], columns[:, -1] = values[1], values.T, values[n - 2]
+    off = columns[:, :-2] + columns[:, 2:]
+    off *= -0.5
+    off += columns[:, 1:-1]
+    np.abs(off, out=off)
     usual = np.array([_usual(axis) for axis in off])
-    most = (off / usual[:, None]).max(axis=0)
+    off /= usual[:, None]
+    most = off.max(axis=0)
     far = most > _OFF
     far[2:] &= most[2:] > 1.9 * _OFF * most[:-2]  # of the bends below; most samples of a motion end here
     far[:-2] &= most[:-2] > 1.9 * _OFF * most[2:]
@@ -81,7 +87,7 @@ def _off_the_line(values: Floats) -> Booleans:
     slopes = np.diff(around, axis=1)
     slopes[:, k - 1] *= 0.5  # over two periods
     bends = (np.abs(np.diff(slopes, axis=1)).max(axis=1) / usual).max(axis=1)
-    found[at] = (off[:, at].T / usual > _OFF * np.maximum(bends, 1.0)[:, None]).any(axis=1)
+    found[at] = most[at] > _OFF * np.maximum(bends, 1.0)
     return found
 
 

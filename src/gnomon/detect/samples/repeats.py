@@ -17,6 +17,7 @@ from ...recording import Floats, Integers
 _LENGTH = 64  # successive different readings
 _DISTINCT = 32  # of them
 _SMALL = 0.1  # quantile of changes
+_LOOKED_AT = 10_000  # changes, about, that tell it
 _SAME = 1e-9  # step [unit] of readings of which no change was seen
 _MOST_OFFSETS = 16
 _MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
@@ -126,7 +127,9 @@ class RepeatWatch:
 
 def _coarseness(values: Floats) -> Floats:
     """Return steps (3,) [unit] in which readings are compared; where none changes they have to be the same."""
-    changes = [np.abs(column[column != 0]) for column in np.diff(values, axis=0).T]
+    stride = max(1, len(values) // _LOOKED_AT)
+    steps = np.abs(values[1::stride] - values[:-1:stride])
+    changes = [column[column != 0] for column in steps.T]
     return np.array([np.quantile(change, _SMALL) / 2 if len(change) else _SAME for change in changes])
 
 

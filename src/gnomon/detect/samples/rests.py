@@ -122,30 +122,28 @@ def find_rests(motion: RestStatistics, multiplier: float, shortest: int) -> Rest
     if not len(found):
         return Rests(found=found, kept=found, reason=())
     marks, rest = motion.marks, _numbered(motion, found)
-    usual = _parts(motion, marks.turns, marks.stirs, multiplier, shortest)
-    own = _parts(motion, marks.turns_beyond_tremor, marks.stirs_beyond_tremor, multiplier, shortest)
-    owners = [rest[np.searchsorted(found.start, parts.start, side="right") - 1] for parts in (usual, own)]
-    start, stop, reason = list[int](), list[int](), list[str]()
-    for number in range(int(rest[-1]) + 1):
-        best = next(
-            (
-                longest
-                for parts, owner in zip((usual, own), owners, strict=True)
-                if (longest := _longest(parts, owner == number))
-            ),
-            None,
-        )
-        whole = best or _longest(found, rest == number)
-        assert whole is not None
-        start.append(whole[0])
-        stop.append(whole[1])
-        reason.append(_why(motion, *whole) if best is None else "")
     begins = np.flatnonzero(np.diff(rest, prepend=-1))
     ends = np.append(begins[1:], len(rest)) - 1
+    kept = np.zeros((2, len(begins)), dtype=np.int64)
+
+    def take_longest(parts: StaticIntervals) -> None:
+        """Take the longest part of each rest of which none was taken."""
+        owner = rest[np.searchsorted(found.start, parts.start, side="right") - 1]
+        order = np.lexsort((parts.start - parts.stop, owner))
+        owner = owner[order]
+        new = (np.diff(owner, prepend=-1) > 0) & (kept[1, owner] == 0)
+        kept[:, owner[new]] = parts.start[order[new]], parts.stop[order[new]]
+
+    take_longest(_parts(motion, marks.turns, marks.stirs, multiplier, shortest))
+    if not kept[1].all():
+        take_longest(_parts(motion, marks.turns_beyond_tremor, marks.stirs_beyond_tremor, multiplier, shortest))
+    useless = kept[1] == 0
+    take_longest(found)
+    start, stop = kept
     return Rests(
         found=StaticIntervals(start=found.start[begins], stop=found.stop[ends]),
-        kept=StaticIntervals(start=np.array(start), stop=np.array(stop)),
-        reason=tuple(reason),
+        kept=StaticIntervals(start=start, stop=stop),
+        reason=tuple(_why(motion, a, b) if none else "" for none, a, b in zip(useless, start, stop, strict=True)),
     )
 
 
@@ -163,14 +161,6 @@ def _parts(
     parts = trim_intervals(steady, stirs, shortest)
     parts = parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
     return parts if motion.unseen is None else parts.where(_count(motion.unseen, parts) == 0)
-
-
-def _longest(parts: StaticIntervals, own: Booleans) -> tuple[int, int] | None:
-    """Return first sample and one past the last of the longest of some intervals; None where there are none."""
-    if not own.any():
-        return None
-    k = int(np.argmax(np.where(own, parts.stop - parts.start, -1)))
-    return int(parts.start[k]), int(parts.stop[k])
 
 
 def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:

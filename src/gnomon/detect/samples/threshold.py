@@ -105,7 +105,9 @@ def detect_rests(
         statistic = np.full(len(accelerometer), np.inf)
         statistic[first:end] = static_statistic(accelerometer.values[first:end], min(window, end - first))
         motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
-    chosen, trials = choose_threshold(motion, gravity_m_s2, MULTIPLIERS if multiplier is None else (multiplier,))
+        usual = None
+    multipliers = MULTIPLIERS if multiplier is None else (multiplier,)
+    chosen, trials = choose_threshold(motion, gravity_m_s2, multipliers, usual=usual)
     if chosen.fit is None:
         chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
     if len(gyroscope):  # which alone tells a rest that shakes from a slow turn
@@ -163,7 +165,9 @@ def _joined(one: StaticIntervals, other: StaticIntervals, order: Integers) -> St
     )
 
 
-def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
+def try_threshold(
+    motion: RestStatistics, multiplier: float, gravity_m_s2: float, rests: Rests | None = None
+) -> ThresholdTrial:
     """Find the static intervals at one threshold and judge them.
 
     Parameters
@@ -171,9 +175,10 @@ def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float
     motion : what the detectors saw
     multiplier : threshold in units of the resting level
     gravity_m_s2 : magnitude of gravity
+    rests : at that threshold, where they are known
     """
     samples = motion.samples
-    rests = find_rests(motion, multiplier, _shortest(samples))
+    rests = rests or find_rests(motion, multiplier, _shortest(samples))
     intervals = rests.intervals
     means = interval_means(samples.values, intervals)
     nothing = ThresholdTrial(
@@ -202,11 +207,17 @@ def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float
 
 
 def choose_threshold(
-    motion: RestStatistics, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
+    motion: RestStatistics,
+    gravity_m_s2: float,
+    multipliers: tuple[float, ...] = MULTIPLIERS,
+    usual: Rests | None = None,
 ) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
-    """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
+    """Return the best threshold and all that were tried; the best has no fit where none could be calibrated.
+
+    `usual` are the rests at a multiplier of 10, where they are known.
+    """
     each = tell_parts("finding static intervals", multipliers, len(multipliers))
-    trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in each)
+    trials = tuple(try_threshold(motion, m, gravity_m_s2, usual if m == _USUAL else None) for m in each)
     best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
     return best, trials
 
@@ -218,7 +229,9 @@ def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Float
     return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start), accelerometer.degc_at_rest)
 
 
-def disturbed_intervals(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:
+def disturbed_intervals(
+    trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None, noise: Floats | None = None
+) -> Booleans:
     """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
 
     Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several
@@ -228,11 +241,12 @@ def disturbed_intervals(trial: ThresholdTrial, samples: TriadSamples, course: Fl
     Parameters
     ----------
     course : (n, j) functions of time that the bias follows, from `accelerometer_course`
+    noise : (3,) density of means at rest, where it is known; see `resting_noise`
     """
     assert trial.fit is not None
     duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
     weight = np.sqrt(duration / duration.mean())
-    noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
+    noise = resting_noise(samples.values, trial.intervals, samples.rate_hz)[0] if noise is None else noise
     white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
     residual, jacobian = trial.fit.residual / weight, trial.fit.jacobian / weight[:, None]
     if course is not None:

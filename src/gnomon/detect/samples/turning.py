@@ -84,9 +84,7 @@ def mark_rates(gyroscope: TriadSamples, still: Booleans) -> RateMarks:
     level = _levels(means, first, last)
     away = np.abs(means - level)
     usual, median = np.quantile(away[resting], [0.9, 0.5], axis=0)
-    tremor = _of_nearest(
-        np.array([np.median(away[a:b], axis=0) for a, b in zip(first, last, strict=True)]), first, last, blocks
-    )
+    tremor = _of_nearest(_medians(away, first, last), first, last, blocks)
     fastest = float(np.quantile(away[~resting].max(axis=1), 0.98)) if not resting.all() else 0.0
     apart = _apart(means, first, last, _TURNING * usual, fastest)
     turns, stirs = _beyond(away, usual, median, apart | jumps)
@@ -119,13 +117,28 @@ def _beyond(away: Floats, usual: Floats, median: Floats, surely: Booleans) -> tu
     return wide, wide | np.any(away > _STIRRING * median, axis=1)
 
 
+def _medians(values: Floats, first: Integers, last: Integers) -> Floats:
+    """Return the medians of some stretches of values (n, 3), in order and apart, (m, 3)."""
+    found, length = np.empty((len(first), 3)), last - first
+    number = np.repeat(np.arange(len(first)), length)
+    start = np.cumsum(length) - length
+    inside = np.arange(len(number)) + np.repeat(first - start, length)
+    for axis in range(3):
+        ordered = values[inside, axis]
+        ordered = ordered[np.lexsort((ordered, number))]
+        found[:, axis] = 0.5 * (ordered[start + (length - 1) // 2] + ordered[start + length // 2])
+    return found
+
+
 def _levels(means: Floats, first: Integers, last: Integers) -> Floats:
     """Return the rate at rest around each block, (k, 3): a running median within its rest, or that of the nearest."""
     level = np.empty_like(means)
     window = 2 * _AROUND + 1
+    resting = np.repeat(np.arange(len(first)), last - first)
+    resting = np.arange(len(resting)) + (first - np.cumsum(last - first) + last - first)[resting]
+    level[resting] = np.repeat(_medians(means, first, last), last - first, axis=0)
     for a, b in zip(first, last, strict=True):
         if b - a <= window:
-            level[a:b] = np.median(means[a:b], axis=0)
             continue
         running = np.median(np.lib.stride_tricks.sliding_window_view(means[a:b], window, axis=0), axis=2)
         at = np.arange(b - a) - _AROUND
@@ -135,7 +148,6 @@ def _levels(means: Floats, first: Integers, last: Integers) -> Floats:
         if reach >= _FEWEST:  # of a sensor that warms up, carried on to both ends
             slope = np.array([running[reach] - running[0], running[-1] - running[-1 - reach]]) / reach
         level[a:b] = running[inside] + (at - inside)[:, None] * np.where((at < 0)[:, None], slope[0], slope[1])
-    resting = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
     everywhere = np.arange(len(means))
     right = np.clip(np.searchsorted(resting, everywhere), 0, len(resting) - 1)
     left = np.maximum(right - 1, 0)
@@ -158,7 +170,7 @@ def _apart(means: Floats, first: Integers, last: Integers, limit: Floats, fastes
     told = np.flatnonzero(last - first >= _FEWEST)
     if len(told) < 4:
         return marked
-    levels = np.array([np.median(means[first[k] : last[k]], axis=0) for k in told])
+    levels = _medians(means, first[told], last[told])
     changes = np.abs(np.diff(levels, axis=0))
     scale = np.maximum(limit, _ALIKE * 1.4826 * np.median(changes, axis=0))
     scale = np.where(scale > 0, scale, max(np.finfo(float).eps * float(np.abs(levels).max()), 1e-100))

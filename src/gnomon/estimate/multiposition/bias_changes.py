@@ -10,7 +10,7 @@ not taken for many steps, and a step not for wander.
 
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
-from itertools import combinations_with_replacement, product
+from itertools import product
 
 import numpy as np
 
@@ -132,13 +132,44 @@ class _Series:
 
 @value_class
 class _Candidates:
-    """What may be added: functions of time (n, c), how many places they were chosen from, and what they are."""
+    """What may be added: functions of time (n, c), how many places they were chosen from, and what they are.
+
+    The first are 1 in as many means as `before` says and 0 behind; those that stand out alone come last.
+    """
 
     values: Floats
     places: Floats
     kind: tuple[str, ...]
     at: Floats
+    before: Integers
     single: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+
+@value_class
+class _Whitened:
+    """A series divided by the root of some kinds of noise.
+
+    Attributes
+    ----------
+    series : as it was
+    root, precision : (k, n, n) inverse roots and inverses of the kinds of noise
+    y, design : (k, n, a), (k, n, p)
+    typical : (a,) variance of white noise
+    logdet : (k, 1) of the noise over `typical`
+    """
+
+    series: _Series
+    root: Floats
+    precision: Floats
+    y: Floats
+    design: Floats
+    typical: Floats
+    logdet: Floats
+
+    @property
+    def pulls(self) -> int:
+        """Number of elements of the bias that pull on a measurement."""
+        return self.series.pull.shape[1]
 
 
 def gyroscope_changes(rests: RestMeans, u: Floats) -> BiasChanges:
@@ -203,12 +234,12 @@ def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int
     taken: list[int] = []
     total = 0.0
     moved = np.zeros((n, 3))
-    whitened = _whitened(rests, series(moved), candidates)
+    whitened = _whitened(rests, series(moved))
     slow = [k for k, kind in enumerate(candidates.kind) if kind == "warm-up"][_SLOW]
     warmth = [k for k, kind in enumerate(candidates.kind) if kind == "temperature"]
     for _ in range(_MOST):
         price = _price(candidates, n, taken, shortest)
-        gains = _gains(whitened, candidates, taken) - price
+        gains = _gains(whitened, candidates, _columns(whitened[0].series, candidates, taken)) - price
         gains[warmth] = -np.inf
         best = int(np.argmax(gains))
         gain, chosen = float(gains[best]), [best]
@@ -221,12 +252,12 @@ def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int
             break
         taken += chosen
         total += gain
-        candidates = _refined(rests, series(moved), candidates, taken)
-        whitened = _whitened(rests, series(moved), candidates)
+        candidates = _refined(rests, whitened, candidates, taken)
         if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
             moved = _moved(series(np.zeros((n, 3))), candidates, taken)
-            whitened = _whitened(rests, series(moved), candidates)
-    sensor = _other_sensor(series(moved), whitened, taken) if whitened[0].pulls > 1 else 0
+            whitened = _whitened(rests, series(moved))
+    given = _columns(whitened[0].series, candidates, taken)
+    sensor = _other_sensor(whitened, given) if whitened[0].pulls > 1 else 0
     at = {
         kind: [float(candidates.at[k]) for k in taken if candidates.kind[k] == kind]
         for kind in ("step", "warm-up", "temperature", "single")
@@ -260,11 +291,14 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
         places=np.repeat(counts, counts).astype(float),
         kind=tuple(kind for kind, part in parts.items() for _ in range(part.shape[1])),
         at=np.concatenate([at, tau, np.zeros(counts[2]), np.arange(n)]).astype(float),
+        before=at,
         single=np.arange(sum(counts)) >= sum(counts) - n,
     )
 
 
-def _refined(rests: RestMeans, series: _Series, candidates: _Candidates, taken: Sequence[int]) -> _Candidates:
+def _refined(
+    rests: RestMeans, whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int]
+) -> _Candidates:
     """Return the candidates with the time constant of the decay, and the place of the last step, that are likeliest.
 
     A step stays between two means unless a place within one of them is likelier by far.
@@ -280,15 +314,17 @@ def _refined(rests: RestMeans, series: _Series, candidates: _Candidates, taken: 
                 if candidates.kind[k] == "warm-up"
                 else shares_before(finer, n)
             )
-            chosen = [*others, *[k] * len(finer)]
+            chosen = [k] * len(finer)
             trial = _Candidates(
-                values=np.concatenate([values[:, others], columns], axis=1),
+                values=columns,
                 places=candidates.places[chosen],
-                kind=tuple(candidates.kind[k] for k in chosen),
-                at=np.append(at[others], finer),
+                kind=(candidates.kind[k],) * len(finer),
+                at=finer,
+                before=np.empty(0, dtype=np.int64),
                 single=candidates.single[chosen],
             )
-            gains = _gains(_whitened(rests, series, trial), trial, range(len(others)))[len(others) :]
+            given = replace(candidates, values=values)
+            gains = _gains(whitened, trial, _columns(whitened[0].series, given, others))
             gains[grid % 1 != 0] -= _WITHIN if candidates.kind[k] == "step" else 0.0
             best = int(np.argmax(gains))
             at[k], values[:, k] = finer[best], columns[:, best]
@@ -314,38 +350,22 @@ def _price(candidates: _Candidates, n: int, taken: Sequence[int], shortest: int)
     return price
 
 
-def _blocks(series: _Series, candidates: _Candidates) -> Floats:
-    """Return the columns of all candidates, (n, c, d); one that stands out needs no more than one."""
-    blocks = candidates.values[:, :, None] * series.pull[:, None, :]
-    blocks[:, candidates.single, 1:] = 0.0
-    blocks[:, candidates.single, 0] = candidates.values[:, candidates.single]
+def _blocks(series: _Series, candidates: _Candidates, some: Sequence[int] | Integers) -> Floats:
+    """Return the columns of some candidates, (n, s, d); one that stands out needs no more than one."""
+    some = np.array(some, dtype=np.int64)
+    values, single = candidates.values[:, some], candidates.single[some]
+    blocks = values[:, :, None] * series.pull[:, None, :]
+    blocks[:, single, 1:] = 0.0
+    blocks[:, single, 0] = values[:, single]
     return blocks
 
 
-@value_class
-class _Whitened:
-    """Series and candidates divided by the root of some kinds of noise.
-
-    Attributes
-    ----------
-    root : (k, n, n) inverse roots of the kinds of noise
-    y, design : (k, n, a), (k, n, p)
-    columns : (k, n, c d) of the candidates
-    pulls : d
-    typical : (a,) variance of white noise
-    logdet : (k, 1) of the noise over `typical`
-    """
-
-    root: Floats
-    y: Floats
-    design: Floats
-    columns: Floats
-    pulls: int
-    typical: Floats
-    logdet: Floats
+def _columns(series: _Series, candidates: _Candidates, taken: Sequence[int]) -> Floats:
+    """Return the columns of the candidates that were taken, (n, s d)."""
+    return _blocks(series, candidates, taken).reshape(len(series.pull), -1)
 
 
-def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> list[_Whitened]:
+def _whitened(rests: RestMeans, series: _Series) -> list[_Whitened]:
     """Return the series by each kind of noise on the grid, as many at once as memory bears.
 
     The parts of one rest have its scatter in common.
@@ -355,10 +375,9 @@ def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> lis
     white = np.mean(series.variance / typical, axis=1)
     since = (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9)
     walk = np.minimum(since[:, None], since) * (series.pull @ series.pull.T) / np.mean(series.pull**2) / d
-    blocks = _blocks(series, candidates).reshape(n, -1)
     scatter = (rests.rest[:, None] == rests.rest).astype(np.float64)
     kinds = np.array(list(product(_EXTRA, _WALK) if n <= _MANY else product(_FEW_EXTRA, _FEW_WALK)))
-    at_once = max(1, _NUMBERS // (n * (n + blocks.shape[1])))
+    at_once = max(1, _NUMBERS // (n * (n + series.design.shape[1] ** 2)))
     found: list[_Whitened] = []
     for some in np.split(kinds, range(at_once, len(kinds), at_once)):
         a, b = some.T[:, :, None, None]
@@ -366,11 +385,11 @@ def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> lis
         root = np.linalg.inv(factor)
         found.append(
             _Whitened(
+                series=series,
                 root=root,
+                precision=_across(root) @ root,
                 y=root @ series.y,
                 design=root @ series.design,
-                columns=root @ blocks,
-                pulls=d,
                 typical=typical,
                 logdet=2 * np.sum(np.log(np.einsum("knn->kn", factor)), axis=1)[:, None],
             )
@@ -385,27 +404,53 @@ def _likelihood(squares: Floats, freedom: Floats, logdet: Floats, typical: Float
     return np.asarray(-0.5 * (relative / scale + freedom * np.log(scale) + logdet), dtype=np.float64)
 
 
-def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int]) -> Floats:
-    """Return by how much each candidate raises the log-likelihood, (c,)."""
-    axes, d = whitened[0].y.shape[2], whitened[0].pulls
+def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, given: Floats) -> Floats:
+    """Return by how much each candidate raises the log-likelihood beside given columns (n, m), (c,)."""
+    axes = whitened[0].y.shape[2]
     base, raised = np.full(axes, -np.inf), np.full((len(candidates.kind), axes), -np.inf)
     for some in whitened:
-        q, left, freedom = _without(some, taken)
-        columns = some.columns - q @ (_across(q) @ some.columns)
-        kinds, n = columns.shape[:2]
-        size = np.sum(some.columns**2, axis=1).reshape(kinds, -1, d)
-        cross = (_across(columns) @ left).reshape(kinds, -1, d, axes)
-        gram = _products(columns.reshape(kinds, n, -1, d))
-        # What the design explains already, or nothing moves, is no candidate.
-        told = np.einsum("kcdd->kcd", gram) > 1e-6 * size
-        gram += np.where(told, 1e-9 * size + 1e-300, np.maximum(size, 1.0) * 1e12)[..., None] * np.eye(d)
-        explained = np.sum(cross * np.linalg.solve(gram, cross), axis=2)
-        squares = np.sum(left**2, axis=1)
+        left, squares, freedom = _without(some, given)
         base = np.maximum(base, _likelihood(squares, freedom, some.logdet, some.typical).max(axis=0))
-        lower, of_one = np.maximum(squares[:, None] - explained, 0.0), (slice(None), None)
-        likelier = _likelihood(lower, freedom[of_one], some.logdet[of_one], some.typical)
+        lower = np.maximum(squares[:, None] - _explained(some, left, candidates), 0.0)
+        likelier = _likelihood(lower, freedom[:, None], some.logdet[:, None], some.typical)
         raised = np.maximum(raised, likelier.max(axis=0))
     return np.asarray(np.sum(raised - base, axis=1), dtype=np.float64)
+
+
+def _explained(some: _Whitened, left: Floats, candidates: _Candidates) -> Floats:
+    """Return the squares (k, c, axes) that each candidate explains of what a model leaves, see `_without`."""
+    pull, whole, last = some.series.pull, some.precision, candidates.before - 1
+    of_y = left @ some.series.y
+    others = np.flatnonzero(~candidates.single)[len(last) :]
+    blocks = _blocks(some.series, candidates, others)
+    flat = blocks.reshape(len(blocks), -1)
+    of_blocks, whole_blocks = ((one @ flat).reshape(-1, *blocks.shape) for one in (left, whole))
+    parts = (
+        (
+            _products_before(left, pull)[:, last],
+            _squares_before(whole, pull)[:, last],
+            np.cumsum(pull[:, :, None] * of_y[:, :, None], axis=1)[:, last],
+        ),
+        (
+            np.einsum("nci,kncj->kcij", blocks, of_blocks),
+            np.einsum("nci,knci->kci", blocks, whole_blocks),
+            np.einsum("nci,kna->kcia", blocks, of_y),
+        ),
+        (
+            np.einsum("knn->kn", left)[:, :, None, None],
+            np.einsum("knn->kn", whole)[:, :, None],
+            of_y[:, :, None],
+        ),
+    )
+    return np.concatenate([_fitted(*part) for part in parts[: 3 if candidates.single.any() else 2]], axis=1)
+
+
+def _fitted(gram: Floats, size: Floats, cross: Floats) -> Floats:
+    """Return cross' inv(gram) cross, (k, c, axes), of columns whose squares were `size` before the model took some."""
+    # What the design explains already, or nothing moves, is no candidate.
+    told = np.einsum("kcdd->kcd", gram) > 1e-6 * size
+    beside = np.where(told, 1e-9 * size + 1e-300, np.maximum(size, 1.0) * 1e12)
+    return np.sum(cross * np.linalg.solve(gram + beside[..., None] * np.eye(gram.shape[-1]), cross), axis=2)
 
 
 def _powers_gain(
@@ -413,73 +458,82 @@ def _powers_gain(
 ) -> tuple[float, list[int]]:
     """Return what powers of the temperature raise the log-likelihood beyond their price, and which these are."""
     powers = [k for k, kind in enumerate(candidates.kind) if kind == "temperature"]
-    each = [_gains(whitened, candidates, [*taken, *powers[:i]])[k] for i, k in enumerate(powers)]
+    own = [_columns(whitened[0].series, candidates, [*taken, *powers[:i]]) for i in range(len(powers))]
+    each = [_gains(whitened, candidates, given)[k] for k, given in zip(powers, own, strict=True)]
     gains = np.cumsum(np.array(each) - price)
     best = int(np.argmax(gains))
     return float(gains[best]), powers[: best + 1]
 
 
-def _without(some: _Whitened, taken: Sequence[int]) -> tuple[Floats, Floats, Floats]:
-    """Return an orthonormal basis of the model (k, n, p), what it leaves of y (k, n, a), and its freedom (k, 1)."""
-    own = (some.pulls * np.array(taken, dtype=np.int64)[:, None] + np.arange(some.pulls)).ravel()
-    q, rank = _orthonormal(np.concatenate([some.design, some.columns[:, :, own]], axis=2))
-    return q, some.y - q @ (_across(q) @ some.y), np.maximum(some.y.shape[1] - rank, 1.0)[:, None]
+def _without(some: _Whitened, given: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return what is left beside the design and given columns (n, m): P, the squares y' P y (k, a), and the freedom.
+
+    P (k, n, n) is the precision less what these explain, so that x' P x is what remains of the squares of x.
+    """
+    q, rank = _orthonormal(np.concatenate([some.design, some.root @ given], axis=2))
+    left = some.y - q @ (_across(q) @ some.y)
+    back = _across(some.root) @ q
+    freedom = np.maximum(some.y.shape[1] - rank, 1.0)[:, None]
+    return some.precision - back @ _across(back), np.sum(left**2, axis=1), freedom
 
 
 def _across(matrices: Floats) -> Floats:
     return np.swapaxes(matrices, -1, -2)
 
 
-def _products(columns: Floats) -> Floats:
-    """Return the products of the columns of each candidate, summed over the means: (k, c, d, d) of (k, n, c, d)."""
-    kinds, _, count, d = columns.shape
-    found = np.empty((kinds, count, d, d))
-    for i, j in combinations_with_replacement(range(d), 2):
-        found[..., i, j] = found[..., j, i] = np.einsum("knc,knc->kc", columns[..., i], columns[..., j])
-    return found
+def _products_before(matrices: Floats, columns: Floats) -> Floats:
+    """Return x' M x by the first 1, 2 ... n of the rows of columns x (n, c), (k, n, c, c), of symmetric M (k, n, n)."""
+    earlier = np.tril(matrices, -1) @ columns + 0.5 * np.einsum("knn->kn", matrices)[..., None] * columns
+    added = columns[:, :, None] * earlier[:, :, None, :]
+    added += columns[:, None, :] * earlier[:, :, :, None]
+    return np.cumsum(added, axis=1, out=added)
 
 
-def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequence[int]) -> int:
+def _squares_before(matrices: Floats, columns: Floats) -> Floats:
+    """Return the diagonals of `_products_before`, (k, n, c)."""
+    earlier = np.tril(matrices, -1) @ columns + 0.5 * np.einsum("knn->kn", matrices)[..., None] * columns
+    return np.cumsum(2 * columns * earlier, axis=1)
+
+
+def _other_sensor(whitened: Sequence[_Whitened], given: Floats) -> int:
     """Return from which static interval on all scales and axes are others, beside the bias; 0 where they stay.
 
     Where one side has too few static intervals for nine parameters, a common factor stands for scales and axes.
     """
+    series = whitened[0].series
     n = len(series.pull)
     cuts = np.arange(_FEW, n - _FEW + 1)
     few = np.minimum(cuts, n - cuts) < _ENOUGH
-    without, given = -np.inf, np.full(len(cuts), -np.inf)
+    without, with_one = -np.inf, np.full(len(cuts), -np.inf)
     for some in whitened:
-        base, left, freedom = _without(some, taken)
-        squares = np.sum(left**2, axis=1)
+        left, squares, freedom = _without(some, given)
         likelihood = _likelihood(squares, freedom, some.logdet, some.typical)
         without = max(without, float(likelihood.sum(axis=1).max()))
         for chosen, before in ((few, np.column_stack([np.ones(n), series.pull])), (~few, series.design)):
-            explained = _explained_before(some, base, left, before, cuts[chosen])
+            explained = _explained_before(some, left, before, cuts[chosen])
             rest = np.maximum(squares[:, None] - explained, 0.0)
             likelihood = _likelihood(rest, freedom[:, None], some.logdet[:, None], some.typical)
-            given[chosen] = np.maximum(given[chosen], likelihood.sum(axis=2).max(axis=0))
-    gains = given - without - (np.log(n) + 0.5 * np.where(few, 4, 9) * np.log(n) + _MARGIN)
+            with_one[chosen] = np.maximum(with_one[chosen], likelihood.sum(axis=2).max(axis=0))
+    gains = with_one - without - (np.log(n) + 0.5 * np.where(few, 4, 9) * np.log(n) + _MARGIN)
     best = int(np.argmax(gains)) if len(cuts) else -1
     return int(cuts[best]) if best >= 0 and gains[best] > 0 else 0
 
 
-def _explained_before(some: _Whitened, base: Floats, left: Floats, before: Floats, cuts: Integers) -> Floats:
+def _explained_before(some: _Whitened, left: Floats, before: Floats, cuts: Integers) -> Floats:
     """Return the squares that parameters of their own explain before each of some static intervals, (k, cuts, axes).
 
     Parameters
     ----------
-    base : (k, n, p) orthonormal, of what is in the model already, which leaves `left` (k, n, axes)
+    left : see `_without`
     before : (n, c) derivatives by these parameters
     cuts : numbers of static intervals
     """
-    kinds, n, count = len(base), *before.shape
-    columns = np.cumsum(some.root[:, :, :, None] * before, axis=2)[:, :, cuts - 1].reshape(kinds, n, -1)
-    size = np.linalg.norm(columns, axis=1, keepdims=True)
-    columns /= np.where(size > 0, size, 1.0)
-    columns -= base @ (_across(base) @ columns)
-    by_left = (_across(columns) @ left).reshape(kinds, len(cuts), count, left.shape[2])
-    gram = _products(columns.reshape(kinds, n, len(cuts), count)) + _TOLD * np.eye(count)
-    return np.sum(by_left * np.linalg.solve(gram, by_left), axis=2)
+    size = np.sqrt(_squares_before(some.precision, before)[:, cuts - 1])
+    size = np.where(size > 0, size, 1.0)
+    of_y = left @ some.series.y
+    cross = np.cumsum(before[:, :, None] * of_y[:, :, None], axis=1)[:, cuts - 1] / size[..., None]
+    gram = _products_before(left, before)[:, cuts - 1] / (size[..., None] * size[..., None, :])
+    return np.sum(cross * np.linalg.solve(gram + _TOLD * np.eye(before.shape[1]), cross), axis=2)
 
 
 def _orthonormal(design: Floats) -> tuple[Floats, Floats]:
@@ -495,7 +549,7 @@ def _moved(series: _Series, candidates: _Candidates, taken: Sequence[int]) -> Fl
     n, d = series.pull.shape
     changes = [k for k in taken if candidates.kind[k] != "single"]
     alone = [k for k in taken if candidates.kind[k] == "single"]
-    blocks = _blocks(series, candidates)[:, changes].reshape(n, -1)
+    blocks = _columns(series, candidates, changes)
     root = 1 / np.sqrt(series.variance)
     design = np.concatenate([series.design, blocks, candidates.values[:, alone]], axis=1) * root
     size = np.linalg.norm(design, axis=0)
