@@ -356,6 +356,7 @@ def _trusted(
         both = jacobian @ fit.arrow.corner_covariance @ jacobian.T
         both[: len(ordinary), : len(ordinary)] = ordinary
         ordinary = both
+    kept = with_runs(fit)
     trust = robust_covariance(
         segment_sums(fit),
         jacobian,
@@ -363,7 +364,7 @@ def _trusted(
         ordinary,
         biases=_BIASES,
         widened=options.covariance == "robust",
-        single=segment_sums(fit, with_runs(fit)),
+        single=None if np.array_equal(kept, fit.rotation_used) else segment_sums(fit, kept),
         sudden=partial(sudden_change, fit, (estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity)),
     )
     return trust, np.sqrt(np.diag(from_unseen))

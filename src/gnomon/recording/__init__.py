@@ -32,8 +32,8 @@ __all__ = [
     "frozen_array",
     "measurable_numbers",
     "recorded_hashes",
-    "shared_sources",
     "remembered",
+    "shared_sources",
     "smallest_steps",
     "usual_step",
 ]

@@ -546,7 +546,7 @@ def _orthonormal(design: Floats) -> tuple[Floats, Floats]:
 
 def _moved(series: _Series, candidates: _Candidates, taken: Sequence[int]) -> Floats:
     """Return the bias (n, 3) that steps and a warm-up add, by least squares."""
-    n, d = series.pull.shape
+    d = series.pull.shape[1]
     changes = [k for k in taken if candidates.kind[k] != "single"]
     alone = [k for k in taken if candidates.kind[k] == "single"]
     blocks = _columns(series, candidates, changes)

@@ -262,22 +262,27 @@ def linearize_model(data: MultiPositionData, state: MultiPositionState) -> Multi
 
 def _rotations(data: MultiPositionData, state: MultiPositionState, basis: Floats) -> tuple[Floats, Floats, Floats]:
     """Return propagated directions, and derivatives of the rotations' residuals by u_k and by theta."""
-    m = len(state.u) - 1
+    m, (_, hats), segments = len(state.u) - 1, data.drift, data.segments
     s, b, c_g, b_g, g = state.matrices
-    force = (data.segments.accelerometer - b) @ np.linalg.inv(s).T
-    rate = data.segments.gyroscope - b_g - force @ g.T
-    _, hats = data.drift
-    count = hats.shape[1]
+    inverse, count = np.linalg.inv(s), hats.shape[1]
+    pull = g @ inverse
+    measured = np.empty((len(segments.dt_s), 7))
+    measured[:, :3], measured[:, 3], measured[:, 4:] = segments.gyroscope, 1.0, segments.accelerometer
+    z = np.eye(7)  # y - b_g - G f, 1 and f by what is measured; the drift comes on top
+    z[:3, 3], z[:3, 4:] = pull @ b - b_g, -pull
+    z[4:, 3], z[4:, 4:] = -inverse @ b, inverse
+    drift = hats @ state.knots[:count]
+    omega = measured @ (c_g @ z[:3]).T
     if count:
-        rate -= np.repeat(hats @ state.knots[:count], data.segments.lengths, axis=0)
-    regressors = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
-    turns = integrate_rates(data.segments, rate @ c_g.T, regressors)
+        omega -= np.repeat(drift @ c_g.T, segments.lengths, axis=0)
+    turns = integrate_rates(segments, omega, measured)
     start = state.u[:-1]
     back = np.einsum("kai,kab->kib", basis[1:], np.swapaxes(turns.rotation, 1, 2))  # tangent plane <- start frame
     turned = -np.einsum("kib,kbl->kil", back, skew(start))  # residual by delta theta in the start frame
-    by_c = np.einsum("kil,klac->kiac", turned, turns.sensitivity)
+    by_c = np.einsum("kil,klac->kiac", turned, turns.sensitivity @ z.T)
     by_rate_offset, by_force = by_c[..., 3], by_c[..., 4:]
-    pull = c_g @ g @ np.linalg.inv(s)  # omega by what the accelerometer reads
+    by_c[..., :3] -= by_rate_offset[..., None] * drift[:, None, None, :]
+    pull = c_g @ pull  # omega by what the accelerometer reads
     theta = np.zeros((m, 2, len(state.theta)))
     by_s = np.einsum("kiac,aj->kijc", by_force, pull)
     theta[..., S_] = by_s[:, :, LOWER[0], LOWER[1]]
@@ -309,15 +314,17 @@ def normal_equations(
         (lines.gyroscope, lines.gyroscope_u, lines.gyroscope_theta, whitening.gyroscope),
     )
     for residual, by_u, by_theta, whitener in rest:
-        r = np.einsum("kij,kj->ki", whitener, residual)
-        ju, jt = whitener @ by_u, whitener @ by_theta[..., free]
+        theta = by_theta[..., free]
+        own = np.flatnonzero(theta.any(axis=(0, 1)))  # most columns act on one kind of residual
+        r = (whitener @ residual[..., None])[..., 0]
+        ju, jt = whitener @ by_u, whitener @ theta[..., own]
         jut = np.swapaxes(ju, 1, 2)
         diagonal += jut @ ju
-        border += jut @ jt
-        gradient += np.einsum("kij,ki->kj", ju, r)
-        flat = jt.reshape(-1, p)
-        corner += flat.T @ flat
-        corner_gradient += flat.T @ r.ravel()
+        border[..., own] += jut @ jt
+        gradient += (jut @ r[..., None])[..., 0]
+        flat = jt.reshape(-1, len(own))
+        corner[np.ix_(own, own)] += flat.T @ flat
+        corner_gradient[own] += flat.T @ r.ravel()
     w = whitening.rotation[:, None, None]
     r, ju, jt = w[..., 0] * lines.rotation, w * lines.rotation_u, w * lines.rotation_theta[..., free]
     jut = np.swapaxes(ju, 1, 2)
@@ -325,14 +332,17 @@ def normal_equations(
     diagonal[1:] += w * w * np.eye(2)
     border[:-1] += jut @ jt
     border[1:] += w * jt
-    gradient[:-1] += np.einsum("kij,ki->kj", ju, r)
+    gradient[:-1] += (jut @ r[..., None])[..., 0]
     gradient[1:] += w[..., 0] * r
-    flat = jt.reshape(-1, p)
+    own = np.flatnonzero(jt.any(axis=(0, 1)))
+    flat = jt[..., own].reshape(-1, len(own))
+    corner[np.ix_(own, own)] += flat.T @ flat
+    corner_gradient[own] += flat.T @ r.ravel()
     return ArrowSystem(
         diagonal=diagonal + 1e-12 * np.trace(diagonal, axis1=1, axis2=2).max() * np.eye(2),
         coupling=w * jut,
         border=border,
-        corner=corner + flat.T @ flat,
+        corner=corner,
         gradient=gradient,
-        corner_gradient=corner_gradient + flat.T @ r.ravel(),
+        corner_gradient=corner_gradient,
     )

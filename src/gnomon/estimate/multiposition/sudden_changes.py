@@ -29,7 +29,7 @@ from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from ...solve.arrow import reduced_normal_equations
 from .fit import GATE_SIGMA, MultiPositionFit, sum_of_squares
-from .model import CG_, normal_equations
+from .model import CG_, Whitening, normal_equations
 from .noise_levels import residual_freedom, rotation_variance
 from .scaling import with_runs
 
@@ -90,8 +90,8 @@ def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -
     if last < first:
         return None
     places = np.unique(np.linspace(first, last, min(last - first + 1, _MOST_PLACES)).round().astype(int))
-    causes = _causes(fit, places, sensitivities)
-    found = min((one for cause in causes for one in _tried(fit, cause, places)), key=lambda one: one.chance)
+    causes, weights = _causes(fit, places, sensitivities), _Weights.of(fit, with_runs(fit))
+    found = min((one for cause in causes for one in _tried(fit, weights, cause, places)), key=lambda one: one.chance)
     chance = found.chance * _CAUSES * min(len(places), _PLACES_COUNT)
     if chance > _CHANCE:
         return None
@@ -111,7 +111,7 @@ def least_turn_seen(fit: MultiPositionFit) -> float:
     """Return by how much a triad has to turn in the middle of a recording to be named whichever way it turns [rad]."""
     middle = np.array([len(fit.state.u) // 2])
     turned = next(_causes(fit, middle, (np.eye(3), np.eye(3))))
-    problem = _Problem.of(fit, with_runs(fit), turned)
+    problem = _Problem.of(fit, _Weights.of(fit, with_runs(fit)), turned)
     if problem.freedom < _FEWEST_LEFT:
         return float("inf")
     largest = _exceeded_by(_CHANCE / (_CAUSES * _PLACES_COUNT), problem.freedom + _NOISE_COUNTS)
@@ -144,17 +144,38 @@ def _causes(fit: MultiPositionFit, places: Integers, sensitivities: tuple[Floats
     yield _Cause(triad="accelerometer", jumps=False, at_rest=gained, rotation=still, by_change=gain)
 
 
-def _tried(fit: MultiPositionFit, cause: _Cause, places: Integers) -> Iterator[_Change]:
+@value_class
+class _Weights:
+    """Which rotations are `kept` (n - 1,), their variance by noise, the weights, and how free residuals are.
+
+    `at_rest` (n,) and `rotation` (n - 1,) are the degrees of freedom of each.
+    """
+
+    kept: Booleans
+    noise: Floats
+    whitening: Whitening
+    at_rest: Floats
+    rotation: Floats
+
+    @classmethod
+    def of(cls, fit: MultiPositionFit, kept: Booleans) -> "_Weights":
+        """Return the weights in a fit with some of its rotations."""
+        noise = rotation_variance(fit.data, fit.state)
+        whitening = replace(fit.whitening, rotation=kept / np.sqrt(noise + fit.extra.rotation))
+        rests, _, rotations = residual_freedom(fit.lines, fit.arrow, whitening, fit.free)
+        return cls(kept=kept, noise=noise, whitening=whitening, at_rest=rests, rotation=rotations)
+
+
+def _tried(fit: MultiPositionFit, weights: _Weights, cause: _Cause, places: Integers) -> Iterator[_Change]:
     """Yield a cause's change at each rest.
 
     A rotation that was left out as an outlier may be the one in which the accelerometer turned: left out, it costs as
     much as the largest residual that is none.
     """
-    kept = with_runs(fit)
-    without = _Problem.of(fit, kept, cause)
+    kept, without = weights.kept, _Problem.of(fit, weights, cause)
     for k, place in enumerate(places.tolist()):
         if cause.jumps and fit.data.linked[place - 1] and not kept[place - 1]:
-            beside = _Problem.of(fit, kept | (np.arange(len(kept)) == place - 1), cause)
+            beside = _Problem.of(fit, _Weights.of(fit, kept | (np.arange(len(kept)) == place - 1)), cause)
             yield beside.change_at(k, place, GATE_SIGMA**2 + without.cost - beside.cost)
         else:
             yield without.change_at(k, place)
@@ -179,11 +200,10 @@ class _Problem:
     sizes: Floats
 
     @classmethod
-    def of(cls, fit: MultiPositionFit, kept: Booleans, cause: _Cause) -> "_Problem":
-        """Return the problem of a fit with the rotations that are `kept` (n - 1,)."""
+    def of(cls, fit: MultiPositionFit, weights: _Weights, cause: _Cause) -> "_Problem":
+        """Return the problem of a fit with some of its rotations."""
         lines, p, new = fit.lines, len(fit.free), 3 * len(cause.rotation)
-        noise = rotation_variance(fit.data, fit.state)
-        whitening = replace(fit.whitening, rotation=kept / np.sqrt(noise + fit.extra.rotation))
+        whitening, kept = weights.whitening, weights.kept
         prior = np.pad(whitening.prior, (0, new))
         prior[p:, p:] = np.eye(new) / _LARGEST**2
         zero, columns = np.zeros((len(cause.at_rest[0]), 3, new)), (cause.at_rest, cause.rotation)
@@ -202,13 +222,12 @@ class _Problem:
         gained = lowered + float(right[:q] @ solved[:, 0])
         by_change, across = np.moveaxis(solved[:, 1:].reshape(q, -1, 3), 1, 0), matrix[:q, q:].reshape(q, -1, 3)
         own = matrix[of_change[:, :, None], of_change[:, None, :]] - np.einsum("qki,kqj->kij", across, by_change)
-        rests, _, rotations = residual_freedom(lines, fit.arrow, whitening, fit.free)
         if cause.triad == "gyroscope":
-            left, freedom = whitening.rotation[:, None] * lines.rotation, float(rotations[kept].sum())
-            known = float(np.mean(noise[kept] * whitening.rotation[kept] ** 2))
+            left, freedom = whitening.rotation[:, None] * lines.rotation, float(weights.rotation[kept].sum())
+            known = float(np.mean(weights.noise[kept] * whitening.rotation[kept] ** 2))
         else:
             left = np.einsum("kij,kj->ki", whitening.accelerometer, lines.accelerometer)
-            freedom = float(rests[fit.interval_used].sum())
+            freedom = float(weights.at_rest[fit.interval_used].sum())
             own_noise = whitening.accelerometer**2 @ fit.data.accelerometer_variance[:, :, None]
             known = float(np.mean(own_noise[fit.interval_used]))
         score = right[of_change] - np.einsum("qki,q->ki", across, solved[:, 0])

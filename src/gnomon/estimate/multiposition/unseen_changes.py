@@ -21,7 +21,7 @@ from ...solve.arrow import reduced_normal_equations
 from .bias_changes import DECAYS, shares_before
 from .bias_segments import decay_functions, step_functions
 from .fit import MultiPositionFit, sum_of_squares
-from .model import PARAMETERS, BiasFunctions, MultiPositionState, linearize_model, normal_equations
+from .model import BG_, PARAMETERS, BiasFunctions, MultiPositionLinearization, linearize_model, normal_equations
 from .noise_levels import whitened_rest
 
 _MOST_PLACES = 40
@@ -44,16 +44,17 @@ def unseen_changes(fit: MultiPositionFit) -> Floats:
     added = np.zeros((PARAMETERS, PARAMETERS))
     if fit.data.rests is None:
         return added
+    lines = linearize_model(fit.data, fit.state)
     for triad in ("gyroscope", "accelerometer"):
-        moves, odds = alternative_models(fit, triad)
+        moves, odds = alternative_models(fit, triad, lines)
         weight = np.exp(odds - max(odds.max(), 0.0))
         weight /= weight.sum() + np.exp(-max(odds.max(), 0.0))
         added += (moves * weight[:, None]).T @ moves
     return added
 
 
-def alternative_models(fit: MultiPositionFit, triad: str) -> tuple[Floats, Floats]:
-    """Return how far each other model moves theta, (m, 30), and the logarithm of its odds, (m,)."""
+def alternative_models(fit: MultiPositionFit, triad: str, lines: MultiPositionLinearization) -> tuple[Floats, Floats]:
+    """Return how far each other model moves theta, (m, 30), and the logarithm of its odds, (m,); `lines` of the fit."""
     gyroscope = triad == "gyroscope"
     present = fit.data.of_gyroscope if gyroscope else fit.data.of_accelerometer
     candidates, price = _candidates(fit, triad)
@@ -61,7 +62,8 @@ def alternative_models(fit: MultiPositionFit, triad: str) -> tuple[Floats, Float
     new = (first if gyroscope else len(fit.free)) + np.arange(3 * len(candidates.kind)).reshape(-1, 3)
     own = (PARAMETERS if gyroscope else first) + np.arange(3 * len(present.kind)).reshape(-1, 3)
     fitted = np.setdiff1d(np.arange(len(fit.free) + new.size), new)
-    levels = _levels(fit, triad, candidates, fitted, new.ravel())
+    beside = _beside(lines, candidates, triad, fitted, new.ravel())
+    levels = _levels(fit, triad, beside, sigma=candidates.sigma, fitted=fitted, new=new.ravel())
     estimated, theta = fitted[fit.free], np.zeros(len(fit.free) + new.size)
     theta[fitted] = fit.state.theta
     taken = fitted[own[present.of_kind("step", "warm-up", "temperature")]]
@@ -105,27 +107,55 @@ def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Float
     return found, price
 
 
-def _levels(
-    fit: MultiPositionFit, triad: str, candidates: BiasFunctions, fitted: Integers, new: Integers
-) -> list[_Level]:
-    """Return the normal equations with all candidates at a few levels of scatter of a triad's static intervals."""
-    data, count = fit.data, len(fitted) + len(new)
+def _beside(
+    lines: MultiPositionLinearization, candidates: BiasFunctions, triad: str, fitted: Integers, new: Integers
+) -> MultiPositionLinearization:
+    """Return a linearisation with the columns of all candidates, whose coefficients are zero."""
+
+    def wider(theta: Floats) -> Floats:
+        found = np.zeros((*theta.shape[:2], len(fitted) + len(new)))
+        found[..., fitted] = theta
+        return found
+
+    at_rest = wider(getattr(lines, f"{triad}_theta"))
+    at_rest[..., new] = -np.einsum("ij,kc->kicj", np.eye(3), candidates.at_rest).reshape(len(at_rest), 3, -1)
+    rotation = wider(lines.rotation_theta)
     if triad == "gyroscope":
-        data = replace(data, gyroscope_functions=data.of_gyroscope.beside(candidates))
-    else:
-        data = replace(data, accelerometer_functions=data.of_accelerometer.beside(candidates))
-    theta, from_prior, free = np.zeros(count), np.zeros(count), np.ones(count, dtype=bool)
-    theta[fitted], from_prior[fitted] = fit.state.theta, fit.from_prior
+        by_bias = lines.rotation_theta[..., BG_]
+        rotation[..., new] = np.einsum("kc,kij->kicj", candidates.in_motion, by_bias).reshape(len(rotation), 2, -1)
+    other = {"gyroscope": "accelerometer_theta", "accelerometer": "gyroscope_theta"}[triad]
+    both = {f"{triad}_theta": at_rest, other: wider(getattr(lines, other))}
+    return replace(lines, rotation_theta=rotation, **both)
+
+
+def _levels(
+    fit: MultiPositionFit,
+    triad: str,
+    lines: MultiPositionLinearization,
+    *,
+    sigma: Floats,
+    fitted: Integers,
+    new: Integers,
+) -> list[_Level]:
+    """Return the normal equations with all candidates at a few levels of scatter of a triad's static intervals.
+
+    Parameters
+    ----------
+    lines : with the columns of all candidates, whose coefficients are known to `sigma` (c, 3) beforehand
+    fitted, new : which columns are those of the fit, and of the candidates
+    """
+    count = len(fitted) + len(new)
+    from_prior, free = np.zeros(count), np.ones(count, dtype=bool)
+    from_prior[fitted] = fit.from_prior
     prior = np.zeros((count, count))
     prior[np.ix_(fitted, fitted)] = fit.whitening.prior
-    prior[new, new] = 1 / candidates.sigma.ravel() ** 2
-    lines = linearize_model(data, MultiPositionState(theta=theta, u=fit.state.u))
+    prior[new, new] = 1 / sigma.ravel() ** 2
     scatter = getattr(fit.extra, triad)
     found: list[_Level] = []
     for share in _SCATTER if scatter else _SCATTER[:1]:
         extra = replace(fit.extra, **{triad: share * scatter})
         accelerometer, gyroscope = (
-            root * fit.interval_used[:, None, None] for root in whitened_rest(data, fit.state, extra)
+            root * fit.interval_used[:, None, None] for root in whitened_rest(fit.data, fit.state, extra)
         )
         whitening = replace(fit.whitening, accelerometer=accelerometer, gyroscope=gyroscope, prior=prior)
         used = (accelerometer if triad == "accelerometer" else gyroscope)[fit.interval_used]

@@ -92,11 +92,6 @@ class _Cut:
     at_s: float = math.nan
     looks: float = 1.0
 
-    @property
-    def switches(self) -> bool:
-        """Whether every stretch is in one part or the other as a whole."""
-        return bool(((self.share == 0) | (self.share == 1)).all())
-
 
 @value_class
 class _Term:
@@ -116,17 +111,30 @@ class _Estimate:
     root : (q, r) of its ordinary covariance, r directions that both parts tell
     w : (r,) the change in units of it
     moves : (n, r) by which each stretch moves w, once the change is in the model
-    by_errors : (n, r, r) covariance of these for independent errors of each stretch
-    shared, common : (n, r, k), (k, k) of the errors, what the estimate itself takes: shared common shared' of any two
+    arm, weighed : (n, r, p) of w by the pull of each stretch, and that times its information
+    design, on : see `_design`
+    normal : (k, k)
     """
 
     change: Floats
     root: Floats
     w: Floats
     moves: Floats
-    by_errors: Floats
-    shared: Floats
-    common: Floats
+    arm: Floats
+    weighed: Floats
+    design: Floats
+    on: Floats
+    normal: Floats
+
+    @property
+    def by_errors(self) -> Floats:
+        """Covariance (n, r, r) of the moves for independent errors of each stretch."""
+        return self.weighed @ np.swapaxes(self.arm, 1, 2)
+
+    @property
+    def taken(self) -> tuple[Floats, Floats]:
+        """What the estimate takes of the errors, (n, r, k) and (k, k): shared common shared' of any two stretches."""
+        return self.weighed @ self.design * self.on[:, None], np.asarray(np.linalg.inv(self.normal), dtype=np.float64)
 
 
 @value_class
@@ -278,25 +286,19 @@ class _Scan:
         pull, information = self.sums.pull * size, self.sums.information * np.outer(size, size)
         base, on = _design(self.sums, self.given)
         normal, right = _normal_equations(self.sums, base, on, size)
-        given = base[:, len(size) :] / size[:, None]
-        shares = [term.cut.share for term in self.given for _ in range(term.directions.shape[1])]
         wandering = np.zeros((len(size), 0)) if self.wandering is None else self.wandering
         directions = np.concatenate([wandering, *(block.directions for block in blocks)], axis=1) / size[:, None]
         starts = np.cumsum([wandering.shape[1], *(block.directions.shape[1] for block in blocks)])
-        found = np.zeros((len(cuts), len(blocks)))
-        for number, cut in enumerate(cuts):
-            along = np.tensordot(cut.share, information, 1)
-            beside = [
-                column @ np.tensordot(own * cut.share, information, 1)
-                for column, own in zip(given.T, shares, strict=True)
-            ]
-            cross = np.concatenate([along, np.reshape(beside, (len(beside), len(size)))]) @ directions
-            by_base = np.linalg.solve(normal, np.column_stack([cross, right]))
-            squared = along if cut.switches else np.tensordot(cut.share**2, information, 1)
-            own = directions.T @ squared @ directions - cross.T @ by_base[:, :-1]
-            score = directions.T @ (cut.share @ pull) - cross.T @ by_base[:, -1]
-            found[number] = _squares(own, score, starts)
-        return found
+        shares = np.array([cut.share for cut in cuts])
+        told = information @ directions  # (n, p, q)
+        by_base = on[:, :, None] * ((base / size[:, None]).T @ told)  # (n, k, q)
+        cross = np.tensordot(shares, by_base, 1)  # (cuts, k, q)
+        k, q = cross.shape[1:]
+        solved = np.linalg.solve(normal, np.column_stack([right, np.moveaxis(cross, 1, 0).reshape(k, -1)]))
+        follow = np.moveaxis(solved[:, 1:].reshape(k, -1, q), 1, 0)
+        own = np.tensordot(shares**2, directions.T @ told, 1) - np.swapaxes(cross, 1, 2) @ follow
+        score = shares @ (pull @ directions) - np.swapaxes(cross, 1, 2) @ solved[:, 0]
+        return _squares(own, score, starts)
 
     def published(self, block: _Block, cut: _Cut, jacobian: Floats, names: Sequence[str]) -> ParameterChange:
         """Return a change in published units."""
@@ -359,20 +361,22 @@ def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]
     )
 
 
-def _squares(information: Floats, score: Floats, starts: Integers) -> list[float]:
-    """Return u' M^-1 u of each block (from one of `starts` to the next), the first rows eliminated, by what is told."""
-    first = slice(0, int(starts[0]))
-    by_first = np.linalg.solve(
-        information[first, first] + _LOOSE * np.eye(first.stop), np.column_stack([information[first], score[first]])
-    )
-    score = score - information[:, first] @ by_first[:, -1]
-    information = information - information[:, first] @ by_first[:, :-1]
-    found: list[float] = []
+def _squares(information: Floats, score: Floats, starts: Integers) -> Floats:
+    """Return u' M^-1 u (cuts, blocks) of M (cuts, q, q) and u (cuts, q), by what is told, the first rows eliminated.
+
+    A block is from one of `starts` to the next.
+    """
+    first = int(starts[0])
+    with_score = np.concatenate([information, score[:, :, None]], axis=2)
+    by_first = np.linalg.solve(information[:, :first, :first] + _LOOSE * np.eye(first), with_score[:, :first])
+    with_score = with_score - information[:, :, :first] @ by_first
+    found: list[Floats] = []
     for low, high in pairwise(starts):
-        values, vectors = np.linalg.eigh(information[low:high, low:high])
+        values, vectors = np.linalg.eigh(with_score[:, low:high, low:high])
+        along = (np.swapaxes(vectors, 1, 2) @ with_score[:, low:high, -1:])[:, :, 0]
         told = values > _LEAST_KNOWN
-        found.append(float(np.sum((vectors.T @ score[low:high])[told] ** 2 / values[told])))
-    return found
+        found.append(np.sum(np.where(told, along**2 / np.where(told, values, 1.0), 0.0), axis=1))
+    return np.stack(found, axis=1)
 
 
 def _blocks(
@@ -455,9 +459,11 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
         root=root,
         w=w,
         moves=np.einsum("nrp,np->nr", arm, left),
-        by_errors=weighed @ np.swapaxes(arm, 1, 2),
-        shared=weighed @ design * on[:, None],
-        common=np.asarray(np.linalg.inv(normal), dtype=np.float64),
+        arm=arm,
+        weighed=weighed,
+        design=design,
+        on=on,
+        normal=normal,
     )
 
 
@@ -522,6 +528,13 @@ def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: 
 
     Beyond `least` it is a lower bound: of many clusters; fewer make large changes more likely.
     """
+    # The scatter is at least what the mean of all directions has of it, of errors of which the estimate takes nothing.
+    count = int(cluster[-1]) + 1
+    pooled = float(np.sum(_moves(found, cluster) ** 2) / np.sum(found.weighed * found.arm))
+    least_scatter = pooled * _POOLED_COUNTS / (count + _POOLED_COUNTS)
+    likely = chi_square_tail(float(found.w @ found.w) / least_scatter, len(found.w)) if least_scatter > 0 else 0.0
+    if likely > least > 0:
+        return likely
     scatter, freedom = _scatter(found, cluster, lasting=lasting)
     if freedom <= 0:
         return 1.0
@@ -544,6 +557,11 @@ def chi_square_tail(x: float, freedom: int) -> float:
     return tail
 
 
+def _moves(found: _Estimate, cluster: Integers) -> Floats:
+    """Return by how much each cluster moves w, (c, r)."""
+    return np.add.reduceat(found.moves, np.flatnonzero(np.diff(cluster, prepend=-1)))
+
+
 def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Floats, float]:
     """Return the covariance (r, r) of w as clusters show it, and its degrees of freedom.
 
@@ -555,20 +573,22 @@ def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Flo
     lasting : whether what they show beyond independent errors averages out no further
     """
     rank = len(found.w)
-    first = np.flatnonzero(np.concatenate([[True], np.diff(cluster) > 0]))
-    moves = np.add.reduceat(found.moves, first)
-    shared = np.add.reduceat(found.shared, first)
-    taken = shared @ found.common @ np.swapaxes(shared, 1, 2)
-    expected = np.add.reduceat(found.by_errors, first) - taken
+    first = np.flatnonzero(np.diff(cluster, prepend=-1))
+    moves, by_errors = _moves(found, cluster), found.by_errors
+    shared, common = found.taken
+    shared = np.add.reduceat(shared, first)
+    taken = shared @ common @ np.swapaxes(shared, 1, 2)
+    expected = np.add.reduceat(by_errors, first) - taken
     total = expected.sum(axis=0)
-    if np.trace(total) < _LEAST_LEFT * np.trace(found.by_errors.sum(axis=0)):
+    if np.trace(total) < _LEAST_LEFT * np.trace(by_errors.sum(axis=0)):
         return np.eye(rank), 0.0
     values, vectors = np.linalg.eigh(total)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     own = root.T @ (moves.T @ moves) @ root
     own = vectors @ own @ vectors.T
     pooled = float(np.trace(moves.T @ moves) / np.trace(total))
-    both = np.einsum("nrk,nrl->kl", shared, shared) @ found.common
+    flat = shared.reshape(-1, shared.shape[2])
+    both = flat.T @ flat @ common
     apart = max(float(np.einsum("kl,lk->", both, both) - np.sum(taken**2)), 0.0)  # between two clusters, squared
     freedom = float(np.trace(total) ** 2 / (np.sum(expected**2) + apart))
     of_one = freedom / rank

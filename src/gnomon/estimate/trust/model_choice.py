@@ -9,8 +9,10 @@ tried the more is needed.
 
 from collections.abc import Sequence
 from dataclasses import field, replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
@@ -109,6 +111,13 @@ def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candid
     return tuple(found.values())
 
 
+@lru_cache(4)  # some MB each
+def _random_signs(count: int) -> NDArray[np.int8]:
+    """Return signs (draws, count), 0 or 1, the same ones always."""
+    rng = np.random.default_rng(0)
+    return np.concatenate([rng.integers(0, 2, (_TOGETHER, count)).astype(np.int8) for _ in range(_DRAWS // _TOGETHER)])
+
+
 class _Bench:
     """Models on trial, each estimated once."""
 
@@ -117,11 +126,7 @@ class _Bench:
         self._models: dict[frozenset[str], _Model] = {}
         tries = sum(candidate.forced is None for candidate in candidates)
         self._level = 1 - _CHANCE / max(tries, 1)
-        rng = np.random.default_rng(0)
-        count = min(len(sums), _MOST_SIGNS)
-        self._signs = np.concatenate(
-            [rng.integers(0, 2, (_TOGETHER, count)).astype(np.int8) for _ in range(_DRAWS // _TOGETHER)]
-        )
+        self._signs = _random_signs(min(len(sums), _MOST_SIGNS))
 
     def step(self, candidate: CandidateBlock, kept: Sequence[CandidateBlock]) -> CandidateStep:
         """Return what a candidate brings to a model."""

@@ -89,8 +89,9 @@ def part_differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits:
     scalar = np.concatenate([pair[0] for pair in pairs])
     where = [pair[4] for pair in pairs for _ in pair[0]]
     own, assumed = np.diag(by_errors), np.diag(by_prior)
-    rounding = np.finfo(np.float64).eps * np.einsum(
-        "dcp,cpq,dcq->d", np.abs(arms), np.abs(sums.information), np.abs(arms), optimize=True
+    sizes = np.abs(arms)
+    rounding = np.finfo(np.float64).eps * np.sum(
+        (sizes.swapaxes(0, 1) @ np.abs(sums.information)).swapaxes(0, 1) * sizes, axis=(1, 2)
     )
     ordinary = np.sqrt(np.maximum(own + assumed, 0.0))
     # What nothing moves is held by the model; and a part that determines nothing has sums of rounding errors.
