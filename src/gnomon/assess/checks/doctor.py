@@ -63,6 +63,7 @@ def _noise(values: Floats) -> float:
 
 
 _GRID_S, _WIDTH_S = 0.02, 0.2
+_HALF = round(_WIDTH_S / 2 / _GRID_S)
 _LONGEST_S = 10.0
 _APART_S, _FAR_S = 0.1, 0.3
 _ALIKE, _GAINED = 0.5, 0.1
@@ -92,9 +93,10 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     both = [np.clip(samples.t_ns, first, last) for samples in (accelerometer, gyroscope)]
     stamps = close_gaps(both, _LONGEST_GAP_NS)
     times = [np.asarray((t_ns - first) * 1e-9, dtype=np.float64) for t_ns in stamps]
-    grid = np.arange(0, max(t_s[-1] for t_s in times), _GRID_S)
-    windows = [_windows(t_s, grid) for t_s in (times[:1] if np.array_equal(*times) else times)]
-    pushed, turned = _stirred(accelerometer.values, *windows[0]), _stirred(gyroscope.values, *windows[-1])
+    count = int(np.ceil(max(t_s[-1] for t_s in times) / _GRID_S))
+    edges = (np.arange(count + 2 * _HALF) - _HALF) * _GRID_S
+    ends = [np.searchsorted(t_s, edges) for t_s in (times[:1] if np.array_equal(*times) else times)]
+    pushed, turned = _stirred(accelerometer.values, ends[0]), _stirred(gyroscope.values, ends[-1])
     lag, best, now = _lag(pushed, turned)
     if abs(lag) < _APART_S or best < _ALIKE or best - now < _GAINED:
         return []
@@ -117,23 +119,22 @@ def _coarseness_s(t_ns: Integers) -> float:
     return float(np.median(steps[steps > 0])) * 1e-9 if (steps > 0).any() else np.inf
 
 
-def _windows(t_s: Floats, grid: Floats) -> tuple[Integers, Integers]:
-    """Return the first sample about each instant of a grid, and one past the last; at least one sample."""
-    first = np.searchsorted(t_s, grid - _WIDTH_S / 2)
-    last = np.minimum(np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1), len(t_s))
-    return np.minimum(first, last - 1), last
+def _stirred(values: Floats, ends: Integers) -> Floats:
+    """Return how much a sensor's readings vary about instants, as a logarithm without mean and of variance one.
 
-
-def _stirred(values: Floats, first: Integers, last: Integers) -> Floats:
-    """Return how much a sensor's readings vary in windows, as a logarithm without mean and of variance one."""
-    columns = np.zeros((3, len(values) + 1))
-    columns[:, 1:] = values.T
-    columns[:, 1:] -= columns[:, 1:].mean(axis=1, keepdims=True)
-    squares = np.cumsum(np.einsum("in,in->n", columns, columns))
-    sums = np.cumsum(columns, axis=1, out=columns)
-    count = (last - first).astype(np.float64)
-    mean = (sums[:, last] - sums[:, first]) / count
-    variance = np.maximum((squares[last] - squares[first]) / count - (mean**2).sum(axis=0), 0.0)
+    Parameters
+    ----------
+    values : (n, 3)
+    ends : numbers of the first samples from each instant of a grid on, half a width before the first instant asked for
+        to half a width behind the last
+    """
+    rows = np.zeros((4, len(values) + 1))
+    rows[:3, 1:] = values.T
+    rows[:3, 1:] -= rows[:3, 1:].mean(axis=1, keepdims=True)
+    np.einsum("in,in->n", rows[:3], rows[:3], out=rows[3])
+    sums = np.cumsum(rows, axis=1, out=rows)[:, ends]
+    means = (sums[:, 2 * _HALF :] - sums[:, : -2 * _HALF]) / np.maximum(ends[2 * _HALF :] - ends[: -2 * _HALF], 1)
+    variance = np.maximum(means[3] - np.einsum("in,in->n", means[:3], means[:3]), 0.0)
     level = np.log(variance + np.quantile(variance, 0.2) + 1e-30)
     level = level - level.mean()
     return level / max(float(level.std()), 1e-12)

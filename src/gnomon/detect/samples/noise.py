@@ -94,12 +94,15 @@ def allan_deviation(values: Floats, rate_hz: float, tau_s: Floats) -> Floats:
     tau_s : averaging times [s]
     """
     deviation = np.full((len(tau_s), 3), np.nan)
+    sums = np.zeros((3, len(values) + 1))
+    sums[:, 1:] = values.T
+    sums[:, 1:] -= sums[:, 1:].mean(axis=1, keepdims=True)  # small numbers keep the running sums exact
+    np.cumsum(sums, axis=1, out=sums)
     for row, tau in enumerate(tau_s):
         length = max(1, round(tau * rate_hz))
-        averages = len(values) // length
-        if averages >= 2:
-            means = values[: averages * length].reshape(averages, length, 3).mean(axis=1)
-            deviation[row] = np.sqrt(0.5 * np.mean(np.diff(means, axis=0) ** 2, axis=0))
+        if len(values) // length >= 2:
+            steps = np.diff(sums[:, ::length], 2, axis=1) / length
+            deviation[row] = np.sqrt(0.5 * np.mean(steps**2, axis=1))
     return deviation
 
 

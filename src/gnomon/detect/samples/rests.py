@@ -13,6 +13,7 @@ _SAME_ATTITUDE = 0.03  # of half the range of all means
 _ONE_ATTITUDE = 0.03  # of what is read: where no rest is farther from another, all of them are in one
 _MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch of the table stays below
 _UNSEEN_S = 0.5  # without a sample
+_LOOKED_AT = 10_000  # samples, about, that tell the rate at rest
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
 
 
@@ -94,7 +95,8 @@ class RestStatistics:
         if not np.array_equal(t_accel, t_gyro):
             still = still[np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)]
         marks = mark_rates(gyroscope, still)
-        rest = np.median(gyroscope.values[still] if still.any() else gyroscope.values, axis=0)
+        at_rest = np.flatnonzero(still) if still.any() else np.arange(len(gyroscope))
+        rest = np.median(gyroscope.values[at_rest[:: max(1, len(at_rest) // _LOOKED_AT)]], axis=0)
         size = np.abs(gyroscope.values.T - rest[:, None], order="C").max(axis=0)  # along columns all is fast
         fastest = float(np.quantile(size, 0.995))
         turned = size / fastest if fastest > 0 else np.zeros(len(size))

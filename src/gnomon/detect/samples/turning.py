@@ -75,8 +75,9 @@ def mark_rates(gyroscope: TriadSamples, still: Booleans) -> RateMarks:
     n, blocks = len(gyroscope), len(gyroscope) // length
     if blocks < 3:
         return RateMarks.none(n)
-    means = gyroscope.values[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
-    resting = still[: blocks * length].reshape(blocks, length).all(axis=1)
+    means = gyroscope.values[: blocks * length].reshape(blocks, -1) @ np.tile(np.eye(3) / length, (length, 1))
+    resting = np.ones(blocks, dtype=bool)
+    resting[np.flatnonzero(~still[: blocks * length]) // length] = False
     if resting.sum() < 3:
         return RateMarks.none(n)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], resting, [False]])))
@@ -117,12 +118,17 @@ def _beyond(away: Floats, usual: Floats, median: Floats, surely: Booleans) -> tu
     return wide, wide | np.any(away > _STIRRING * median, axis=1)
 
 
+def _inside(first: Integers, last: Integers) -> Integers:
+    """Return the numbers in some stretches, one behind the other."""
+    length = last - first
+    return np.arange(length.sum()) + np.repeat(first - np.cumsum(length) + length, length)
+
+
 def _medians(values: Floats, first: Integers, last: Integers) -> Floats:
     """Return the medians of some stretches of values (n, 3), in order and apart, (m, 3)."""
     found, length = np.empty((len(first), 3)), last - first
     number = np.repeat(np.arange(len(first)), length)
-    start = np.cumsum(length) - length
-    inside = np.arange(len(number)) + np.repeat(first - start, length)
+    start, inside = np.cumsum(length) - length, _inside(first, last)
     for axis in range(3):
         ordered = values[inside, axis]
         ordered = ordered[np.lexsort((ordered, number))]
@@ -134,8 +140,7 @@ def _levels(means: Floats, first: Integers, last: Integers) -> Floats:
     """Return the rate at rest around each block, (k, 3): a running median within its rest, or that of the nearest."""
     level = np.empty_like(means)
     window = 2 * _AROUND + 1
-    resting = np.repeat(np.arange(len(first)), last - first)
-    resting = np.arange(len(resting)) + (first - np.cumsum(last - first) + last - first)[resting]
+    resting = _inside(first, last)
     level[resting] = np.repeat(_medians(means, first, last), last - first, axis=0)
     for a, b in zip(first, last, strict=True):
         if b - a <= window:
@@ -177,12 +182,12 @@ def _apart(means: Floats, first: Integers, last: Integers, limit: Floats, fastes
     middle = np.median(levels, axis=0)
     off = np.abs(levels - middle).max(axis=1)
     most = max(_FAST * fastest, _SPREAD * float(np.median(off))) if fastest > _MOTION * limit.max() else np.inf
-    out = np.zeros(len(told), dtype=bool)
-    for i, k in enumerate(told):
-        beside = [j for j in (i - 2, i - 1, i + 1, i + 2) if 0 <= j < len(told)]
-        nearest = min(float(np.max(np.abs(levels[i] - levels[j]) / scale)) for j in beside)
-        alone = nearest > 1 and last[k] - first[k] < _LONG
-        out[i] = alone or off[i] > most
+    nearest = np.full(len(told), np.inf)
+    for apart in (1, 2):
+        away = np.max(np.abs(levels[apart:] - levels[:-apart]) / scale, axis=1)
+        nearest[apart:] = np.minimum(nearest[apart:], away)
+        nearest[:-apart] = np.minimum(nearest[:-apart], away)
+    out = ((nearest > 1) & (last[told] - first[told] < _LONG)) | (off > most)
     if 2 * out.sum() > len(told):  # rates that scatter that much are no turns
         return marked
     for k in told[out]:
@@ -199,24 +204,27 @@ def _jumps(means: Floats, first: Integers, last: Integers) -> tuple[Booleans, In
     """
     marked = np.zeros(len(means), dtype=bool)
     cuts: list[int] = []
-    for a, b in zip(first, last, strict=True):
-        own = means[a:b]
-        n = len(own)
-        if n < 2 * _FEWEST:
-            continue
-        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(own - own[0], axis=0)])
-        at = np.arange(_FEWEST, n - _FEWEST + 1)
-        low, high = np.maximum(at - _JUMP, 0), np.minimum(at + _JUMP, n)
-        step = (sums[high] - sums[at]) / (high - at)[:, None] - (sums[at] - sums[low]) / (at - low)[:, None]
-        noise = 1.4826 * np.median(np.abs(np.diff(own, axis=0)), axis=0) / np.sqrt(2)
-        sigma = noise * np.sqrt(1 / (at - low) + 1 / (high - at))[:, None]
-        size = np.abs(step) / np.where(sigma > 0, sigma, np.inf)
-        k, axis = np.unravel_index(np.argmax(size), size.shape)
-        if size[k, axis] <= _JUMP_SIGMA:
-            continue
-        whole = np.median(own[at[k] :, axis]) - np.median(own[: at[k], axis])
-        if whole / step[k, axis] > _KEPT:
-            cuts.append(int(a + at[k]))
-            marked[cuts[-1] - 1 : cuts[-1] + 1] = True
+    long = last - first >= 2 * _FEWEST
+    places = _inside(first[long] + _FEWEST, last[long] - _FEWEST + 1)
+    start, stop = (np.repeat(ends[long], (last - first)[long] - 2 * _FEWEST + 1) for ends in (first, last))
+    sums = np.zeros((len(means) + 1, 3))
+    at_rest = _inside(first, last)
+    sums[at_rest + 1] = means[at_rest] - np.repeat(means[first], last - first, axis=0)
+    np.cumsum(sums, axis=0, out=sums)
+    low, high = np.maximum(places - _JUMP, start), np.minimum(places + _JUMP, stop)
+    before, after = (places - low)[:, None], (high - places)[:, None]
+    step = (sums[high] - sums[places]) / after - (sums[places] - sums[low]) / before
+    noise = np.zeros_like(means)
+    noise[first[long]] = 1.4826 * _medians(np.abs(np.diff(means, axis=0)), first[long], last[long] - 1) / np.sqrt(2)
+    sigma = noise[start] * np.sqrt(1 / before + 1 / after)
+    size = np.abs(step) / np.where(sigma > 0, sigma, np.inf)
+    for a in np.unique(start[size.max(axis=1) > _JUMP_SIGMA]):
+        own = np.flatnonzero(start == a)
+        k, axis = np.unravel_index(np.argmax(size[own]), (len(own), 3))
+        at, end = int(places[own[k]]), int(stop[own[k]])
+        whole = np.median(means[at:end, axis]) - np.median(means[a:at, axis])
+        if whole / step[own[k], axis] > _KEPT:
+            cuts.append(at)
+            marked[at - 1 : at + 1] = True
     cut = np.array(cuts, dtype=np.int64)
     return marked, np.sort(np.concatenate([first, cut])), np.sort(np.concatenate([last, cut]))
