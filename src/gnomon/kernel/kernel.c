@@ -28,7 +28,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 5 /* changes whenever the arguments of a function do */
+#define INTERFACE 6 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -628,21 +628,78 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
 
 /* running sums for Allan variances (estimate/allan/deviation.py) */
 
-/* The running sums (3, n + 1) of three axes (n, 3) about their means. */
-CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, double *x) {
-    double *const axes[3] = {x, x + n + 1, x + 2 * (n + 1)};
-    double sum[3] = {0.0}, lanes[12] = {0.0}, mean[3];
+/* The sums of three axes (n, 3). */
+CLONES EXPORT void gnomon_sums(int64_t n, const double *y, double *sum) {
+    double lanes[12] = {0.0};
     for (int64_t k = 0; k + 4 <= n; k += 4)
         for (int j = 0; j < 12; j++) lanes[j] += y[3 * k + j];
     for (int64_t k = n / 4 * 4; k < n; k++)
         for (int i = 0; i < 3; i++) lanes[i] += y[3 * k + i];
-    for (int i = 0; i < 3; i++) mean[i] = (lanes[i] + lanes[3 + i] + lanes[6 + i] + lanes[9 + i]) / (double)n;
+    for (int i = 0; i < 3; i++) sum[i] = lanes[i] + lanes[3 + i] + lanes[6 + i] + lanes[9 + i];
+}
+
+/* The running sums (3, n) of three axes (n, 3) about means, beyond what came before; the rows of x are `row` apart. */
+CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, const double *mean, const double *before,
+                                       int64_t row, double *x) {
+    double *const axes[3] = {x, x + row, x + 2 * row};
+    double sum[3] = {before[0], before[1], before[2]};
     for (int64_t k = 0; k < n; k++)
-        for (int i = 0; i < 3; i++) {
-            axes[i][k] = sum[i];
-            sum[i] += y[3 * k + i] - mean[i];
+        for (int i = 0; i < 3; i++) axes[i][k] = sum[i] += y[3 * k + i] - mean[i];
+}
+
+#define LANES 16     /* sums that are added up beside each other */
+#define STRETCH 2048 /* of a running sum, which stays in the nearest memory for all lags */
+
+INLINE double product(int64_t n, const double *a, const double *b) {
+    double lanes[LANES] = {0.0}, sum = 0.0;
+    const int64_t whole = n - n % LANES;
+    for (int64_t k = 0; k < whole; k += LANES)
+        for (int j = 0; j < LANES; j++) lanes[j] += a[k + j] * b[k + j];
+    for (int64_t k = whole; k < n; k++) lanes[0] += a[k] * b[k];
+    for (int j = 0; j < LANES; j++) sum += lanes[j];
+    return sum;
+}
+
+INLINE double total(int64_t n, const double *a) {
+    double lanes[LANES] = {0.0}, sum = 0.0;
+    const int64_t whole = n - n % LANES;
+    for (int64_t k = 0; k < whole; k += LANES)
+        for (int j = 0; j < LANES; j++) lanes[j] += a[k + j];
+    for (int64_t k = whole; k < n; k++) lanes[0] += a[k];
+    for (int j = 0; j < LANES; j++) sum += lanes[j];
+    return sum;
+}
+
+/* Products of a running sum x (n) with the values 1, 2, 4, ... places later (levels + 1), its square and its sum (2),
+   and what stands at its ends (8, levels). */
+CLONES EXPORT void gnomon_lagged_products(int64_t n, const double *x, int64_t levels, double *lagged, double *whole,
+                                          double *ends) {
+    static const int rows[2][4] = {{0, 1, 4, 6}, {3, 2, 5, 7}};
+    memset(lagged, 0, (levels + 1) * sizeof(double)), whole[0] = whole[1] = 0.0;
+    for (int64_t start = 0; start < n; start += STRETCH) {
+        const int64_t length = n - start < STRETCH ? n - start : STRETCH;
+        whole[0] += product(length, x + start, x + start), whole[1] += total(length, x + start);
+        for (int64_t k = 0; k <= levels; k++) {
+            const int64_t lag = (int64_t)1 << k, left = n - start - lag;
+            if (left > 0) lagged[k] += product(left < length ? left : length, x + start, x + start + lag);
         }
-    for (int i = 0; i < 3; i++) axes[i][n] = sum[i];
+    }
+    for (int last = 0; last < 2; last++) {
+        double sum = x[last ? n - 1 : 0], square = sum * sum;
+        for (int64_t k = 0; k < levels; k++) {
+            const int64_t m = (int64_t)1 << k;
+            const double *near = last ? x + n - m : x, *far = last ? near - m : x + m;
+            double both = 0.0, far_square = 0.0, far_sum = 0.0;
+            for (int64_t start = 0; start < m; start += STRETCH) {
+                const int64_t length = m - start < STRETCH ? m - start : STRETCH;
+                both += product(length, near + start, far + start);
+                far_square += product(length, far + start, far + start), far_sum += total(length, far + start);
+            }
+            const double found[4] = {square, far_square, both, sum - far_sum};
+            for (int i = 0; i < 4; i++) ends[rows[last][i] * levels + k] = found[i];
+            square += far_square, sum += far_sum;
+        }
+    }
 }
 
 /* fits of corners (detect/corners/corner_fit.py), in single precision pixel by pixel, as there */

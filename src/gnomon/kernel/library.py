@@ -1,7 +1,8 @@
 """The compiled loops, called through ctypes: only where `load_kernel` found them."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,13 +189,39 @@ def integrate_segments(
     return rotation, sensitivity
 
 
-def running_sums(samples: Floats) -> Floats:
-    """Return the running sums (3, n + 1) of samples (n, 3) about their means."""
+def running_sums(samples: Floats, run: Callable[..., Iterable[Any]] = map) -> Floats:
+    """Return the running sums (3, n + 1) of samples (n, 3) about their means; `run` may do both halves at once."""
     library = load_kernel()
     assert library is not None
-    found = np.empty((3, len(samples) + 1))
-    library.gnomon_running_sums(_long(len(samples)), _at(samples), _out(found))
+    n, half = len(samples), len(samples) // 2
+    found, totals = np.empty((3, n + 1)), np.empty((2, 3))
+    parts = samples[:half], samples[half:]
+    list(run(lambda part, sum_: library.gnomon_sums(_long(len(part)), _at(part), _out(sum_)), parts, totals))
+    mean = totals.sum(axis=0) / n
+    found[:, 0] = 0.0
+
+    def add_up(part: Floats, before: Floats, first: int) -> None:
+        place = ctypes.c_void_p(found.ctypes.data + found.itemsize * (first + 1))
+        library.gnomon_running_sums(_long(len(part)), *map(_at, (part, mean, before)), _long(n + 1), place)
+
+    list(run(add_up, parts, (np.zeros(3), totals[0] - half * mean), (0, half)))
     return found
+
+
+def lagged_products(x: Floats, levels: int) -> tuple[Floats, Floats, Floats]:
+    """Return products of a running sum x (n,), and sums at its ends; see `_sums` of the Allan variance.
+
+    Returns
+    -------
+    (levels + 1,) with the values 1, 2, 4, ... places later, (2,) its square and its sum, (8, levels) of the ends
+    """
+    library = load_kernel()
+    assert library is not None
+    lagged, whole, ends = np.empty(levels + 1), np.empty(2), np.empty((8, levels))
+    library.gnomon_lagged_products(
+        *(_long(len(x)), _at(x), _long(levels), _out(lagged), _out(whole), _out(ends)),
+    )
+    return lagged, whole, ends
 
 
 def descend_corners(

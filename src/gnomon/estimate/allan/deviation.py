@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...kernel import load_kernel
-from ...kernel.library import running_sums
+from ...kernel.library import lagged_products, running_sums
 from ...recording import Floats, Integers
 
 _PRODUCTS_PIECE = 1 << 17  # of the running sum; it and what is multiplied with it stay in the processor's memory
@@ -51,9 +51,11 @@ class AxisProducts:
 
 def product_sums(values: Floats, levels: int) -> list[AxisProducts]:
     """Return the sums of each axis of samples (n, 3), for so many averaging times; 2^levels samples are the least."""
+    compiled = load_kernel() is not None
     with ThreadPoolExecutor(min(3, cpu_count() or 1)) as pool:
-        sums = running_sums(values) if load_kernel() is not None else pool.map(_running_sum, values.T)
-        return list(pool.map(lambda x: _axis_products(x, _lagged_products(x, levels + 1), _end_sums(x, levels)), sums))
+        sums = running_sums(values, pool.map) if compiled else pool.map(_running_sum, values.T)
+        work = lagged_products if compiled else _sums
+        return list(pool.map(lambda x: _axis_products(len(x) - 1, *work(x, levels)), sums))
 
 
 def _running_sum(y: Floats) -> Floats:
@@ -63,10 +65,15 @@ def _running_sum(y: Floats) -> Floats:
     return x
 
 
-def _axis_products(x: Floats, lagged: Floats, ends: Floats) -> AxisProducts:
-    """Return the sums of an axis from its running sum (n + 1,), its products (k + 1,), and sums at its ends (8, k)."""
-    n, levels = len(x) - 1, ends.shape[1]
-    square, total = float(np.dot(x, x)), float(x.sum())
+def _sums(x: Floats, levels: int) -> tuple[Floats, Floats, Floats]:
+    """Return the products of x with itself later, its square and its sum, and sums at its ends."""
+    return _lagged_products(x, levels + 1), np.array([np.dot(x, x), x.sum()]), _end_sums(x, levels)
+
+
+def _axis_products(n: int, lagged: Floats, whole: Floats, ends: Floats) -> AxisProducts:
+    """Return the sums of an axis of n samples from those of its running sum, see `_sums`."""
+    levels = ends.shape[1]
+    square, total = float(whole[0]), float(whole[1])
     terms = n + 1 - 2.0 ** np.arange(1, levels + 1)
     squares, products, sums = ends[:4], ends[4:6].sum(axis=0), ends[6:]
     middle = 4 * (square - squares[0] - squares[3])
