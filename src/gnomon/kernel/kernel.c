@@ -628,13 +628,14 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
 
 /* running sums for Allan variances (estimate/allan/deviation.py) */
 
-/* The sums of three axes (n, 3). */
-CLONES EXPORT void gnomon_sums(int64_t n, const double *y, double *sum) {
-    double lanes[12] = {0.0};
+/* The sums of three axes (n, 3) about given values, which lie among them. */
+CLONES EXPORT void gnomon_sums(int64_t n, const double *y, const double *about, double *sum) {
+    double lanes[12] = {0.0}, middle[12];
+    for (int j = 0; j < 12; j++) middle[j] = about[j % 3];
     for (int64_t k = 0; k + 4 <= n; k += 4)
-        for (int j = 0; j < 12; j++) lanes[j] += y[3 * k + j];
+        for (int j = 0; j < 12; j++) lanes[j] += y[3 * k + j] - middle[j];
     for (int64_t k = n / 4 * 4; k < n; k++)
-        for (int i = 0; i < 3; i++) lanes[i] += y[3 * k + i];
+        for (int i = 0; i < 3; i++) lanes[i] += y[3 * k + i] - middle[i];
     for (int i = 0; i < 3; i++) sum[i] = lanes[i] + lanes[3 + i] + lanes[6 + i] + lanes[9 + i];
 }
 

@@ -196,15 +196,20 @@ def running_sums(samples: Floats, run: Callable[..., Iterable[Any]] = map) -> Fl
     n, half = len(samples), len(samples) // 2
     found, totals = np.empty((3, n + 1)), np.empty((2, 3))
     parts = samples[:half], samples[half:]
-    list(run(lambda part, sum_: library.gnomon_sums(_long(len(part)), _at(part), _out(sum_)), parts, totals))
-    mean = totals.sum(axis=0) / n
+    about = samples[0]
+    list(
+        run(
+            lambda part, total: library.gnomon_sums(_long(len(part)), _at(part), _at(about), _out(total)), parts, totals
+        )
+    )
+    mean = about + totals.sum(axis=0) / n
     found[:, 0] = 0.0
 
     def add_up(part: Floats, before: Floats, first: int) -> None:
         place = ctypes.c_void_p(found.ctypes.data + found.itemsize * (first + 1))
         library.gnomon_running_sums(_long(len(part)), *map(_at, (part, mean, before)), _long(n + 1), place)
 
-    list(run(add_up, parts, (np.zeros(3), totals[0] - half * mean), (0, half)))
+    list(run(add_up, parts, (np.zeros(3), totals[0] - half * (mean - about)), (0, half)))
     return found
 
 
