@@ -604,15 +604,14 @@ static inline void rotation_from_quaternion(const double *q, double *out) {
 CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, const double *omega, const double *dt,
                                           const double *regressors, double *rotation, double *sensitivity) {
     for (int64_t k = 0; k < m; k++, rotation += 9, sensitivity += 9 * REGRESSORS) {
-        double q[4] = {1.0, 0.0, 0.0, 0.0}, before = 0.0;
-        memset(sensitivity, 0, 9 * REGRESSORS * sizeof(double));
+        double q[4] = {1.0, 0.0, 0.0, 0.0}, before = 0.0, sums[9 * REGRESSORS] = {0.0};
         for (int64_t i = 0; i < lengths[k]; i++, omega += 3, dt++) {
             if (regressors) {
                 double path[9];
                 rotation_from_quaternion(q, path);
-                for (int r = 0; r < 9; r++)
-                    for (int c = 0; c < REGRESSORS; c++)
-                        sensitivity[REGRESSORS * r + c] += 0.5 * (before + *dt) * path[r] * regressors[c];
+                for (int r = 0; r < 9; r++) path[r] *= 0.5 * (before + *dt);
+                for (int c = 0; c < REGRESSORS; c++)
+                    for (int r = 0; r < 9; r++) sums[9 * c + r] += path[r] * regressors[c];
                 regressors += REGRESSORS, before = *dt;
             }
             if (i + 1 < lengths[k]) {
@@ -623,6 +622,8 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
             }
         }
         rotation_from_quaternion(q, rotation);
+        for (int r = 0; r < 9; r++)
+            for (int c = 0; c < REGRESSORS; c++) sensitivity[REGRESSORS * r + c] = sums[9 * c + r];
     }
 }
 

@@ -70,7 +70,7 @@ def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
 Known = TypeVar("Known")
 
 
-def remembered(function: Callable[[NDArray[Any]], Known]) -> Callable[[NDArray[Any]], Known]:
+def kept_with_array(function: Callable[[NDArray[Any]], Known]) -> Callable[[NDArray[Any]], Known]:
     """Keep what a function tells of an array that nobody can change for as long as that lives: many ask for it."""
     kept: dict[int, tuple[ref[NDArray[Any]], Known]] = {}
 
@@ -87,7 +87,7 @@ def remembered(function: Callable[[NDArray[Any]], Known]) -> Callable[[NDArray[A
     return once
 
 
-@remembered
+@kept_with_array
 def usual_rate(t_ns: Integers) -> float:
     """Return the sample rate of timestamps (n,) [Hz], from `usual_step`; nan if unknown."""
     step = usual_step(np.diff(t_ns)) if len(t_ns) > 1 else 0.0
@@ -114,7 +114,7 @@ _STEP_SAMPLES = 65_536
 _ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
 
 
-@remembered
+@kept_with_array
 def smallest_steps(values: Floats) -> Floats:
     """Return the smallest change from sample to sample of each axis of values (n, k); nan where it never changes."""
     columns = np.ascontiguousarray(values[:_STEP_SAMPLES].T)  # along which all is fast

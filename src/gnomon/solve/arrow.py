@@ -97,8 +97,12 @@ def solve_arrow(system: ArrowSystem) -> ArrowSolution:
     )
 
 
-def reduced_normal_equations(system: ArrowSystem) -> tuple[Floats, Floats, float]:
+def reduced_normal_equations(system: ArrowSystem, apart: int = 0) -> tuple[Floats, Floats, float]:
     """Return what is left when the states are eliminated.
+
+    Parameters
+    ----------
+    apart : see `column_products`
 
     Returns
     -------
@@ -106,16 +110,37 @@ def reduced_normal_equations(system: ArrowSystem) -> tuple[Floats, Floats, float
     """
     per_block = max(1, _GATHERED // system.border.shape[1])
     inverses, _, eliminated = _eliminate(*_gather(system, per_block, -(-len(system.border) // per_block)))
-    return _reduce(system, inverses, eliminated)
+    return _reduce(system, inverses, eliminated, apart)
 
 
-def _reduce(system: ArrowSystem, inverses: list[Floats], eliminated: list[Floats]) -> tuple[Floats, Floats, float]:
+def column_products(a: Floats, b: Floats, apart: int = 0) -> Floats:
+    """Return a'b (p, p), which is symmetric.
+
+    Of the last `apart` columns each three are tried without the others: their products with those are left zero.
+    """
+    kept = a.shape[1] - apart
+    if not apart:
+        return a.T @ b
+    found = np.zeros((a.shape[1], a.shape[1]))
+    found[:kept] = a[:, :kept].T @ b
+    found[kept:, :kept] = found[:kept, kept:].T
+    firsts = np.arange(kept, a.shape[1], 3)
+    for i in range(3):
+        for j in range(i + 1):
+            own = np.einsum("rk,rk->k", a[:, kept + i :: 3], b[:, kept + j :: 3])
+            found[firsts + i, firsts + j] = found[firsts + j, firsts + i] = own
+    return found
+
+
+def _reduce(
+    system: ArrowSystem, inverses: list[Floats], eliminated: list[Floats], apart: int = 0
+) -> tuple[Floats, Floats, float]:
     """Return the Schur complement, its right-hand side, and by how much the states lower the sum of squares."""
     p, lowered = len(system.corner), 0.0
     schur, right = system.corner.copy(), -system.corner_gradient
     for inverse, rhs in zip(inverses, eliminated, strict=True):
         half = inverse @ rhs
-        schur -= rhs[:, :p].T @ half[:, :p]
+        schur -= column_products(rhs[:, :p], half[:, :p], apart)
         right = right - rhs[:, :p].T @ half[:, p]
         lowered += float(rhs[:, p] @ half[:, p])
     return schur, right, lowered

@@ -1,5 +1,7 @@
 """The sample rate is found once for timestamps that cannot change."""
 
+from weakref import ref
+
 import numpy as np
 import pytest
 
@@ -11,12 +13,14 @@ def test_the_rate_is_kept_as_long_as_the_timestamps_live(monkeypatch) -> None:
     found = arrays.usual_step
     monkeypatch.setattr(arrays, "usual_step", lambda steps: asked.append(1) or found(steps))
     samples = TriadSamples(t_ns=np.arange(50) * 5_000_000, values=np.zeros((50, 3)), unit="m/s^2")
-    kept = len(arrays._RATES)
     assert samples.rate_hz == samples.rate_hz == 200.0
     assert len(asked) == 1
-    assert len(arrays._RATES) == kept + 1
+    timestamps = ref(samples.t_ns)
     del samples
-    assert len(arrays._RATES) == kept
+    assert timestamps() is None
+    again = TriadSamples(t_ns=np.arange(50) * 2_500_000, values=np.zeros((50, 3)), unit="m/s^2")  # maybe in its place
+    assert again.rate_hz == 400.0
+    assert len(asked) == 2
 
 
 def test_timestamps_that_can_change_are_looked_at_anew() -> None:

@@ -95,7 +95,7 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     times = [np.asarray((t_ns - first) * 1e-9, dtype=np.float64) for t_ns in stamps]
     count = int(np.ceil(max(t_s[-1] for t_s in times) / _GRID_S))
     edges = (np.arange(count + 2 * _HALF) - _HALF) * _GRID_S
-    ends = [np.searchsorted(t_s, edges) for t_s in (times[:1] if np.array_equal(*times) else times)]
+    ends = [np.searchsorted(t_s, edges) for t_s in (times[:1] if np.array_equal(times[0], times[1]) else times)]
     pushed, turned = _stirred(accelerometer.values, ends[0]), _stirred(gyroscope.values, ends[-1])
     lag, best, now = _lag(pushed, turned)
     if abs(lag) < _APART_S or best < _ALIKE or best - now < _GAINED:

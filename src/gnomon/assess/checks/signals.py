@@ -7,7 +7,7 @@ from ...detect.samples.repair import isolated_readings
 from ...detect.samples.repeats import repeated_stretches
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...recording import Floats, Integers, TriadSamples, remembered
+from ...recording import Floats, Integers, TriadSamples, kept_with_array
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
 _GAP_PERIODS = 1.5
@@ -256,7 +256,7 @@ _MUCH_REPEATED = 0.02  # of all samples
 _LISTED, _MANY_ISOLATED = 6, 1e-3  # isolated readings; the share from which on others may hide among them
 
 
-@remembered
+@kept_with_array
 def axis_extremes(values: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and the largest value of each axis, (3,) each; column by column, which is fast."""
     columns = np.ascontiguousarray(values.T)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...frozen import value_class
-from ...recording import Floats, TriadSamples, remembered
+from ...recording import Floats, TriadSamples, kept_with_array
 from ...results.result import StaticIntervals
 
 _FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
@@ -103,7 +103,7 @@ def saturated_samples(samples: TriadSamples, full_scale: float | None = None) ->
     return _flat_tops(samples.values) | (np.abs(samples.values) >= full_scale * (1 - 1e-9)).any(axis=1)
 
 
-@remembered
+@kept_with_array
 def _flat_tops(samples: Floats) -> Booleans:
     marked = np.zeros(len(samples), bool)
     for values in np.ascontiguousarray(samples.T) if len(samples) >= 4 else ():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...recording import Floats, Integers, TriadSamples, remembered, smallest_steps
+from ...recording import Floats, Integers, TriadSamples, kept_with_array, smallest_steps
 from ...results.result import Booleans
 
 _RARE = 0.01
@@ -39,7 +39,7 @@ def without_readings(values: Floats, at: Integers) -> Floats:
     return mended
 
 
-@remembered
+@kept_with_array
 def isolated_readings(values: Floats) -> Integers:
     """Return the indices of single readings that neither neighbour supports, as of a disturbed bus.
 

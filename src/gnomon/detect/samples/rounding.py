@@ -47,12 +47,12 @@ def rounding_variance(values: Floats, intervals: StaticIntervals, step: Floats |
     inside = np.zeros(len(values), dtype=bool)
     for start, stop in zip(intervals.start, intervals.stop, strict=True):
         inside[start + 1 : stop] = True  # the difference to the sample before is one of this rest
-    changes = np.diff(values, axis=0)[inside[1:]]
-    scatter = 0.5 * np.mean(changes**2, axis=0) if len(changes) else np.zeros(3)
+    squares, count = np.square(np.diff(values, axis=0)), int(inside[1:].sum())
+    scatter = 0.5 * (inside[1:].astype(np.float64) @ squares) / max(count, 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         seen = np.where(step > 0, scatter / step**2, np.inf)
     variance = np.tile(step**2 * np.interp(seen, _SCATTER, _OF_MEANS), (len(intervals), 1))
-    for axis in np.flatnonzero((seen < _WIDE) & (len(changes) > 0)):
+    for axis in np.flatnonzero((seen < _WIDE) & (count > 0)):
         codes = np.rint((values[:, axis] - values[0, axis]) / step[axis])
         counts, spread, peak = _beside_their_mean(codes, intervals)
         if seen[axis] < _COARSE or (spread < _WIDE and peak < _REGULAR * spread**2):

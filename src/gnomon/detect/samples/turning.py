@@ -145,7 +145,7 @@ def _levels(means: Floats, first: Integers, last: Integers) -> Floats:
     for a, b in zip(first, last, strict=True):
         if b - a <= window:
             continue
-        running = np.median(np.lib.stride_tricks.sliding_window_view(means[a:b], window, axis=0), axis=2)
+        running = np.sort(np.lib.stride_tricks.sliding_window_view(means[a:b], window, axis=0), axis=2)[..., _AROUND]
         at = np.arange(b - a) - _AROUND
         inside = np.clip(at, 0, b - a - window)
         reach = min(_AROUND, b - a - window)

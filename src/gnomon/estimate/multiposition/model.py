@@ -18,8 +18,8 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.rotation_vector import skew, tangent_basis
-from ...recording import Floats
-from ...solve.arrow import ArrowSystem
+from ...recording import Floats, Integers
+from ...solve.arrow import ArrowSystem, column_products
 from .bias_changes import RestMeans
 from .rotations import MotionSegments, integrate_rates, propagate_directions
 
@@ -295,7 +295,7 @@ def _rotations(data: MultiPositionData, state: MultiPositionState, basis: Floats
 
 
 def normal_equations(
-    lines: MultiPositionLinearization, whitening: Whitening, from_prior: Floats, free: np.ndarray
+    lines: MultiPositionLinearization, whitening: Whitening, from_prior: Floats, free: np.ndarray, apart: int = 0
 ) -> ArrowSystem:
     """Return the normal equations of the free parameters.
 
@@ -303,6 +303,7 @@ def normal_equations(
     ----------
     from_prior : (30 + 3 j,) theta minus the mean of the prior
     free : (30 + 3 j,) bool; the others stay where they are
+    apart : last columns, of which each three are tried without the others; see `column_products` of the solver
     """
     n, p = len(lines.accelerometer), int(free.sum())
     diagonal, border = np.zeros((n, 2, 2)), np.zeros((n, 2, p))
@@ -315,7 +316,7 @@ def normal_equations(
     )
     for residual, by_u, by_theta, whitener in rest:
         theta = by_theta[..., free]
-        own = np.flatnonzero(theta.any(axis=(0, 1)))  # most columns act on one kind of residual
+        own, apart_here = _acting(theta, apart)  # most columns act on one kind of residual
         r = (whitener @ residual[..., None])[..., 0]
         ju, jt = whitener @ by_u, whitener @ theta[..., own]
         jut = np.swapaxes(ju, 1, 2)
@@ -323,7 +324,7 @@ def normal_equations(
         border[..., own] += jut @ jt
         gradient += (jut @ r[..., None])[..., 0]
         flat = jt.reshape(-1, len(own))
-        corner[np.ix_(own, own)] += flat.T @ flat
+        corner[np.ix_(own, own)] += column_products(flat, flat, apart_here)
         corner_gradient[own] += flat.T @ r.ravel()
     w = whitening.rotation[:, None, None]
     r, ju, jt = w[..., 0] * lines.rotation, w * lines.rotation_u, w * lines.rotation_theta[..., free]
@@ -334,9 +335,9 @@ def normal_equations(
     border[1:] += w * jt
     gradient[:-1] += (jut @ r[..., None])[..., 0]
     gradient[1:] += w[..., 0] * r
-    own = np.flatnonzero(jt.any(axis=(0, 1)))
+    own, apart_here = _acting(jt, apart)
     flat = jt[..., own].reshape(-1, len(own))
-    corner[np.ix_(own, own)] += flat.T @ flat
+    corner[np.ix_(own, own)] += column_products(flat, flat, apart_here)
     corner_gradient[own] += flat.T @ r.ravel()
     return ArrowSystem(
         diagonal=diagonal + 1e-12 * np.trace(diagonal, axis1=1, axis2=2).max() * np.eye(2),
@@ -346,3 +347,11 @@ def normal_equations(
         gradient=gradient,
         corner_gradient=corner_gradient,
     )
+
+
+def _acting(theta: Floats, apart: int) -> tuple[Integers, int]:
+    """Return which of the columns (n, i, p) are not zero, the last `apart` all or none, and how many of these."""
+    acts = (theta.reshape(-1, theta.shape[2]) != 0).any(axis=0)
+    last = slice(len(acts) - apart, len(acts))
+    acts[last] = acts[last].any()
+    return np.flatnonzero(acts), apart * bool(apart and acts[-1])

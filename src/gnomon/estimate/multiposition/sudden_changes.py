@@ -215,8 +215,8 @@ class _Problem:
             rotation_theta=np.concatenate([lines.rotation_theta, rotation], axis=2),
         )
         free = np.concatenate([fit.free, np.ones(new, dtype=bool)])
-        system = normal_equations(beside, replace(whitening, prior=prior), np.pad(fit.from_prior, (0, new)), free)
-        matrix, right, lowered = reduced_normal_equations(system)
+        system = normal_equations(beside, replace(whitening, prior=prior), np.pad(fit.from_prior, (0, new)), free, new)
+        matrix, right, lowered = reduced_normal_equations(system, new)
         of_change, q = np.arange(new).reshape(-1, 3) + int(fit.free.sum()), int(fit.free.sum())
         solved = np.linalg.solve(matrix[:q, :q], np.column_stack([right[:q], matrix[:q, q:]]))
         gained = lowered + float(right[:q] @ solved[:, 0])

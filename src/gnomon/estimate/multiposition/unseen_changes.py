@@ -59,14 +59,11 @@ def alternative_models(fit: MultiPositionFit, triad: str, lines: MultiPositionLi
     present = fit.data.of_gyroscope if gyroscope else fit.data.of_accelerometer
     candidates, price = _candidates(fit, triad)
     first = PARAMETERS + 3 * len(fit.data.of_gyroscope.kind)
-    new = (first if gyroscope else len(fit.free)) + np.arange(3 * len(candidates.kind)).reshape(-1, 3)
+    new = len(fit.free) + np.arange(3 * len(candidates.kind)).reshape(-1, 3)
     own = (PARAMETERS if gyroscope else first) + np.arange(3 * len(present.kind)).reshape(-1, 3)
-    fitted = np.setdiff1d(np.arange(len(fit.free) + new.size), new)
-    beside = _beside(lines, candidates, triad, fitted, new.ravel())
-    levels = _levels(fit, triad, beside, sigma=candidates.sigma, fitted=fitted, new=new.ravel())
-    estimated, theta = fitted[fit.free], np.zeros(len(fit.free) + new.size)
-    theta[fitted] = fit.state.theta
-    taken = fitted[own[present.of_kind("step", "warm-up", "temperature")]]
+    levels = _levels(fit, triad, _beside(lines, candidates, triad), candidates.sigma)
+    estimated, theta = np.flatnonzero(fit.free), np.append(fit.state.theta, np.zeros(new.size))
+    taken = own[present.of_kind("step", "warm-up", "temperature")]
     found = [_solved(level, estimated, new, np.zeros(len(theta))) for level in levels]
     none = max(without for _, _, without in found)
     moves, odds = list[Floats](), list[Floats]()
@@ -107,49 +104,33 @@ def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Float
     return found, price
 
 
-def _beside(
-    lines: MultiPositionLinearization, candidates: BiasFunctions, triad: str, fitted: Integers, new: Integers
-) -> MultiPositionLinearization:
-    """Return a linearisation with the columns of all candidates, whose coefficients are zero."""
-
-    def wider(theta: Floats) -> Floats:
-        found = np.zeros((*theta.shape[:2], len(fitted) + len(new)))
-        found[..., fitted] = theta
-        return found
-
-    at_rest = wider(getattr(lines, f"{triad}_theta"))
-    at_rest[..., new] = -np.einsum("ij,kc->kicj", np.eye(3), candidates.at_rest).reshape(len(at_rest), 3, -1)
-    rotation = wider(lines.rotation_theta)
+def _beside(lines: MultiPositionLinearization, candidates: BiasFunctions, triad: str) -> MultiPositionLinearization:
+    """Return a linearisation with the columns of all candidates, whose coefficients are zero, behind the others."""
+    count, n = 3 * len(candidates.kind), len(candidates.at_rest)
+    at_rest = -np.einsum("ij,kc->kicj", np.eye(3), candidates.at_rest).reshape(n, 3, count)
+    rotation = np.zeros((n - 1, 2, count))
     if triad == "gyroscope":
         by_bias = lines.rotation_theta[..., BG_]
-        rotation[..., new] = np.einsum("kc,kij->kicj", candidates.in_motion, by_bias).reshape(len(rotation), 2, -1)
-    other = {"gyroscope": "accelerometer_theta", "accelerometer": "gyroscope_theta"}[triad]
-    both = {f"{triad}_theta": at_rest, other: wider(getattr(lines, other))}
-    return replace(lines, rotation_theta=rotation, **both)
+        rotation = np.einsum("kc,kij->kicj", candidates.in_motion, by_bias).reshape(n - 1, 2, count)
+    columns = {"accelerometer": np.zeros((n, 3, count)), "gyroscope": np.zeros((n, 3, count)), triad: at_rest}
+    columns["rotation"] = rotation
+    return replace(
+        lines,
+        **{f"{of}_theta": np.concatenate([getattr(lines, f"{of}_theta"), new], axis=2) for of, new in columns.items()},
+    )
 
 
-def _levels(
-    fit: MultiPositionFit,
-    triad: str,
-    lines: MultiPositionLinearization,
-    *,
-    sigma: Floats,
-    fitted: Integers,
-    new: Integers,
-) -> list[_Level]:
+def _levels(fit: MultiPositionFit, triad: str, lines: MultiPositionLinearization, sigma: Floats) -> list[_Level]:
     """Return the normal equations with all candidates at a few levels of scatter of a triad's static intervals.
 
     Parameters
     ----------
     lines : with the columns of all candidates, whose coefficients are known to `sigma` (c, 3) beforehand
-    fitted, new : which columns are those of the fit, and of the candidates
     """
-    count = len(fitted) + len(new)
-    from_prior, free = np.zeros(count), np.ones(count, dtype=bool)
-    from_prior[fitted] = fit.from_prior
-    prior = np.zeros((count, count))
-    prior[np.ix_(fitted, fitted)] = fit.whitening.prior
-    prior[new, new] = 1 / sigma.ravel() ** 2
+    from_prior = np.append(fit.from_prior, np.zeros(sigma.size))
+    prior = np.pad(fit.whitening.prior, (0, sigma.size))
+    np.fill_diagonal(prior[len(fit.free) :, len(fit.free) :], 1 / sigma.ravel() ** 2)
+    free = np.ones(len(from_prior), dtype=bool)
     scatter = getattr(fit.extra, triad)
     found: list[_Level] = []
     for share in _SCATTER if scatter else _SCATTER[:1]:
@@ -159,7 +140,8 @@ def _levels(
         )
         whitening = replace(fit.whitening, accelerometer=accelerometer, gyroscope=gyroscope, prior=prior)
         used = (accelerometer if triad == "accelerometer" else gyroscope)[fit.interval_used]
-        matrix, right, lowered = reduced_normal_equations(normal_equations(lines, whitening, from_prior, free))
+        system = normal_equations(lines, whitening, from_prior, free, sigma.size)
+        matrix, right, lowered = reduced_normal_equations(system, sigma.size)
         level = float(np.sum(np.linalg.slogdet(used)[1])) - 0.5 * (
             sum_of_squares(lines, whitening, from_prior) - lowered
         )

@@ -89,8 +89,8 @@ def robust_covariance(
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     block = np.unique(paths, return_inverse=True)[1]
     estimated = np.diag(ordinary) > 0
-    remembered = correlation_time(sums, jacobian, block)
-    phases, length = group_into_clusters(sums, remembered)
+    kept_with_array = correlation_time(sums, jacobian, block)
+    phases, length = group_into_clusters(sums, kept_with_array)
     found = robust_variances(phases, jacobian, block)
     if not widened:
         found = replace(found, factor=np.ones_like(found.factor))
@@ -103,7 +103,7 @@ def robust_covariance(
     return RobustCovariance(
         covariance=covariance,
         trust=Trust(
-            clusters=Clusters(count=found.clusters, length_s=length * spacing, memory_s=remembered * spacing)
+            clusters=Clusters(count=found.clusters, length_s=length * spacing, memory_s=kept_with_array * spacing)
             if widened
             else None,
             names=tuple(np.array(names, dtype=object)[estimated]),
