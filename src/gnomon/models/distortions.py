@@ -222,20 +222,27 @@ def _newton_radtan(coeffs: Floats, limit: float, target: Pair, start: Pair) -> t
     error, step = np.full_like(tx, inf), np.ones_like(tx)
     precise = 4 * np.finfo(float).eps * (np.hypot(dx, dy) + np.hypot(tx, ty))
     for _ in range(100):
-        square = tx * tx + ty * ty
-        bent = _bend_radtan(coeffs, tx, ty, square, False)
-        ex, ey = bent.x - dx, bent.y - dy
-        size = np.hypot(ex, ey)
-        better = (size < error) & (square < limit * limit)
-        determinant = bent.xx * bent.yy - bent.xy * bent.xy
+        sx, sy, size = _newton_step(coeffs, tx, ty, target)
+        better = (size < error) & (tx * tx + ty * ty < limit * limit)
         mx, my, error = np.where(better, tx, mx), np.where(better, ty, my), np.where(better, size, error)
-        nx = np.where(better, (bent.yy * ex - bent.xy * ey) / determinant, nx)
-        ny = np.where(better, (bent.xx * ey - bent.xy * ex) / determinant, ny)
+        nx, ny = np.where(better, sx, nx), np.where(better, sy, ny)
         step = np.where(better, 1.0, 0.5 * step)
         if not ((error > precise) & (step > 1e-4)).any():
             break
         tx, ty = mx - step * nx, my - step * ny
     return mx, my, error <= 1e3 * precise
+
+
+def _newton_step(coeffs: Floats, mx: Floats, my: Floats, target: Pair) -> tuple[Floats, Floats, Floats]:
+    """Return what Newton takes off m, and the length of the error at m."""
+    bent = _bend_radtan(coeffs, mx, my, mx * mx + my * my, False)
+    ex, ey = bent.x - target[0], bent.y - target[1]
+    determinant = bent.xx * bent.yy - bent.xy * bent.xy
+    return (
+        (bent.yy * ex - bent.xy * ey) / determinant,
+        (bent.xx * ey - bent.xy * ex) / determinant,
+        np.hypot(ex, ey),
+    )
 
 
 # Equidistant: an odd polynomial of the angle.

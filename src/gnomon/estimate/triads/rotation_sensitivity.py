@@ -96,14 +96,9 @@ def fit_rotation_sensitivity(
     usable = np.array([not why for why in rotations.reason], dtype=bool)
     weight = np.where(usable, 1.0, 0.0)
     rate = rotations.segments.gyroscope - np.repeat(rotations.bias, rotations.segments.lengths, axis=0)
-    regressors = np.concatenate([rate, np.zeros((len(rate), 4))], axis=1)
     extra, rounds = 0.0, 0
     while True:
-        turns = integrate_rates(rotations.segments, rate @ correction.T, regressors)
-        back = np.einsum("kai,kab->kib", basis, np.swapaxes(turns.rotation, 1, 2))
-        residual = np.einsum("kij,ki->kj", basis, up[k + 1] - propagate_directions(turns.rotation, up[k]))
-        turned = -np.einsum("kib,kbl->kil", back, skew(up[k]))
-        rows = np.einsum("kil,klac->kiac", turned, turns.sensitivity)[..., :3].reshape(len(k), 2, 9)
+        residual, rows, back = _residuals(rotations, rate, up, basis, correction)
         noise = rotations.variance @ (correction**2).sum(axis=0) / 3 + extra
         white = weight / np.sqrt(np.maximum(noise, 1e-12))
         A, r = (white[:, None, None] * rows).reshape(-1, 9), (white[:, None] * residual).ravel()
@@ -138,6 +133,20 @@ def fit_rotation_sensitivity(
         rms_rad=float(np.sqrt(np.mean(squares[usable]))),
         used=usable & (weight > 0.5),
     )
+
+
+def _residuals(
+    rotations: RestRotations, rate: Floats, up: Floats, basis: Floats, correction: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return errors of directions (m, 2), their derivatives by C (m, 2, 9), and the basis before the turn (m, 2, 3)."""
+    k = rotations.first
+    regressors = np.concatenate([rate, np.zeros((len(rate), 4))], axis=1)
+    turns = integrate_rates(rotations.segments, rate @ correction.T, regressors)
+    back = np.einsum("kai,kab->kib", basis, np.swapaxes(turns.rotation, 1, 2))
+    residual = np.einsum("kij,ki->kj", basis, up[k + 1] - propagate_directions(turns.rotation, up[k]))
+    turned = -np.einsum("kib,kbl->kil", back, skew(up[k]))
+    rows = np.einsum("kil,klac->kiac", turned, turns.sensitivity)[..., :3].reshape(len(k), 2, 9)
+    return residual, rows, back
 
 
 def _turns(rotations: RestRotations, omega: Floats, up: Floats) -> tuple[Floats, Booleans]:
