@@ -19,11 +19,13 @@ except ModuleNotFoundError:  # run as a script, where nothing is built
 
 FOLDER = Path(__file__).parent / "src" / "gnomon" / "kernel"
 LIBRARY = FOLDER / "compiled" / ("kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so"))
+FRESH = LIBRARY.with_stem("fresh")
+"""It takes the place of the other at once: a program that starts meanwhile finds either."""
 
 
 def commands() -> list[list[str]]:
     """Return what compiles the kernel, one after the other until one does."""
-    source, output = str(FOLDER / "kernel.c"), str(LIBRARY)
+    source, output = str(FOLDER / "kernel.c"), str(FRESH)
     stated = os.environ.get("CC") or sysconfig.get_config_var("CC")
     flags = ["-O3", "-fno-trapping-math", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden"]
     flags += shlex.split(os.environ.get("ARCHFLAGS", ""))
@@ -33,25 +35,26 @@ def commands() -> list[list[str]]:
         if compiler
     ]
     if sys.platform == "win32":
-        found.insert(0, ["cl", "/nologo", "/O2", "/LD", source, f"/Fo{LIBRARY.parent}\\", f"/Fe{output}"])
+        found.insert(0, ["cl", "/nologo", "/O2", "/LD", source, f"/Fo{FRESH.parent}\\", f"/Fe{output}"])
     return found
 
 
 def compiled() -> bool:
     """Compile the kernel beside its source, and tell whether that worked; nothing is left where it did not."""
-    LIBRARY.parent.mkdir(exist_ok=True)
-    LIBRARY.unlink(missing_ok=True)
+    FRESH.parent.mkdir(exist_ok=True)
     for command in commands():
         try:
             subprocess.run(command, check=True, capture_output=True, timeout=300)
-            ctypes.CDLL(str(LIBRARY)).gnomon_interface()
+            ctypes.CDLL(str(FRESH)).gnomon_interface()
+            FRESH.replace(LIBRARY)
         except (OSError, subprocess.SubprocessError, AttributeError):
-            LIBRARY.unlink(missing_ok=True)
+            FRESH.unlink(missing_ok=True)
         else:
             return True
         finally:
             for suffix in (".obj", ".lib", ".exp"):
-                LIBRARY.with_suffix(suffix).unlink(missing_ok=True)
+                FRESH.with_suffix(suffix).unlink(missing_ok=True)
+    LIBRARY.unlink(missing_ok=True)
     return False
 
 
