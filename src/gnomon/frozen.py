@@ -1,8 +1,8 @@
 """Values that do not change: a mapping, and dataclasses that are made as fast as a start needs; both can be pickled.
 
 A frozen dataclass of the standard library costs a millisecond to define, since seven of its methods are compiled, used
-or not (Python 3.11), and a command defines hundreds. Of a value class, `__init__` is compiled when the first is made,
-and the other methods are shared.
+or not (Python 3.11), and a command defines hundreds. Of a value class, `__init__` is compiled when many are made, and
+the other methods are shared.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -48,6 +48,7 @@ class FrozenMapping(Mapping[Key, Value_co]):
 
 
 Class = TypeVar("Class", bound=type)
+_MANY = 50  # of a class, from which on a compiled `__init__` is worth its time
 _FEW = 4  # values, or fields of one, that are shown inside of another
 
 
@@ -86,10 +87,14 @@ def field_names(cls: type) -> tuple[str, ...]:
 
 def _frozen(cls: type, eq: bool, kw_only: bool) -> type:
     made: Any = dataclass(init=False, repr=False, eq=False, slots=True, kw_only=kw_only)(cls)
+    uses = 0
 
     def __init__(self: Any, *placed: Any, **given: Any) -> None:  # noqa: N807
-        made.__init__ = _compiled_init(made)
-        made.__init__(self, *placed, **given)
+        nonlocal uses
+        uses += 1
+        if uses > _MANY or placed or not _set_fields(made, self, given):
+            made.__init__ = _compiled_init(made)  # which says what is wrong with arguments
+            made.__init__(self, *placed, **given)
 
     shared = {"__init__": __init__, "__repr__": _text, "__setattr__": _refuse, "__delattr__": _refuse}
     shared |= {"__getstate__": _state, "__setstate__": _with_state}
@@ -98,6 +103,34 @@ def _frozen(cls: type, eq: bool, kw_only: bool) -> type:
         if name not in cls.__dict__ or cls.__dict__[name] is None:
             setattr(made, name, method)
     return made
+
+
+@cache
+def _setters(made: Any) -> tuple[tuple[str, Any, bool, Any, Any], ...]:
+    return tuple(
+        (entry.name, getattr(made, entry.name).__set__, entry.init, entry.default, entry.default_factory)
+        for entry in fields(made)
+    )
+
+
+def _set_fields(made: Any, value: Any, given: Mapping[str, Any]) -> bool:
+    """Set the fields of a value by their names; False where a name is missing, or unknown."""
+    taken = 0
+    for name, set_field, init, default, factory in _setters(made):
+        if init and name in given:
+            set_field(value, given[name])
+            taken += 1
+        elif factory is not MISSING:
+            set_field(value, factory())
+        elif default is not MISSING:
+            set_field(value, default)
+        elif init:
+            return False
+    if taken < len(given):
+        return False
+    if hasattr(made, "__post_init__"):
+        value.__post_init__()
+    return True
 
 
 def _compiled_init(made: Any) -> Any:

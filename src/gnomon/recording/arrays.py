@@ -120,6 +120,5 @@ def smallest_steps(values: Floats) -> Floats:
     columns = np.ascontiguousarray(values[:_STEP_SAMPLES].T)  # along which all is fast
     steps = np.abs(np.diff(columns))
     least = _ARITHMETIC * np.abs(columns).max(axis=1, initial=0.0)  # what a conversion of units may differ by
-    steps[~(steps > least[:, None])] = np.inf
-    found = steps.min(axis=1, initial=np.inf)
+    found = np.where(steps > least[:, None], steps, np.inf).min(axis=1, initial=np.inf)
     return np.where(found < np.inf, found, np.nan)

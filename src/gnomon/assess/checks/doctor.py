@@ -143,9 +143,9 @@ def _stirred(values: Floats, ends: Integers) -> Floats:
 def _lag(pushed: Floats, turned: Floats) -> tuple[float, float, float]:
     """Return by how much the second comes later [s], the correlation there, and without a lag."""
     count = len(pushed)
-    size = 1 << int(np.ceil(np.log2(2 * count)))
-    cross = np.fft.irfft(np.conj(np.fft.rfft(pushed, size)) * np.fft.rfft(turned, size), size)
     most = min(round(_LONGEST_S / _GRID_S), count // 2)
+    size = 1 << int(np.ceil(np.log2(count + most + 1)))  # so that no lag meets the other end
+    cross = np.fft.irfft(np.conj(np.fft.rfft(pushed, size)) * np.fft.rfft(turned, size), size)
     lags = np.arange(-most, most + 1)
     score = cross[lags] / (count - np.abs(lags))
     best = int(np.argmax(score))

@@ -87,7 +87,8 @@ def robust_covariance(
     sudden : see `parameter_changes`
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
-    block = np.unique(paths, return_inverse=True)[1]
+    number = {path: k for k, path in enumerate(dict.fromkeys(paths))}
+    block = np.array([number[path] for path in paths])
     estimated = np.diag(ordinary) > 0
     kept_with_array = correlation_time(sums, jacobian, block)
     phases, length = group_into_clusters(sums, kept_with_array)
@@ -97,7 +98,7 @@ def robust_covariance(
     covariance = ordinary
     if widened:
         covariance = found.covariance + _from_outside(ordinary - found.from_errors - found.from_prior)
-    biased = np.isin(paths, list(biases))
+    biased = np.array([path in biases for path in paths], dtype=bool)
     comparison = PartComparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
     spacing = float(np.median(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
     return RobustCovariance(
