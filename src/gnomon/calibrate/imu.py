@@ -41,6 +41,7 @@ from ..findings import Finding
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
+from ..processes import one_blas_thread
 from ..progress import Progress
 from ..recording import Floats, Recording
 from ..recording.thermometer import temperature_course
@@ -105,6 +106,12 @@ def calibrate_imu(
             return calibrate_several(recording, options, tell, prior, calibrate_imu)
         (recording,) = recording
     refuse_own_data(prior, recording.sources)
+    with one_blas_thread():
+        return _calibrated(recording, options, progress, prior)
+
+
+def _calibrated(recording: Recording, options: ImuOptions, progress: Progress | None, prior: Priors) -> Result:
+    tell = progress or (lambda _: None)
     if by_rests(recording, options):
         return _by_rests(recording, options, progress, prior)
     tell("checking the recording")

@@ -10,7 +10,6 @@ from math import nan, sqrt
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ..assess.checks.protocol import TELLS_RESTS, check_protocol, find_imu_rests
 from ..assess.checks.signals import copied_stretches, isolated_finding
@@ -30,6 +29,7 @@ from ..estimate.allan.model import KINDS
 from ..estimate.allan.patterns import HighPass, longest_unfiltered_s
 from ..findings import Finding, make_finding
 from ..options import NoiseOptions
+from ..processes import one_blas_thread
 from ..progress import Progress
 from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source
@@ -91,7 +91,7 @@ def identify_noise(
         recording, columns, rate_hz, Units.parse(units) if isinstance(units, str) else units
     )
     tell("reading the recording")
-    with threadpool_limits(1, user_api="blas"):  # the axes are worked on side by side already
+    with one_blas_thread():  # the axes are worked on side by side already
         triads = _summed(stream, options)
         curves = {name: triad.sums.variance(triad.table.rate_hz) for name, triad in triads.items()}
     findings: list[Finding] = [note for triad in triads.values() for note in triad.notes]
@@ -108,7 +108,7 @@ def identify_noise(
             findings.append(isolated_finding(at_s, len(at_s) / triad.watch.samples, name))
     tell("fitting the Allan variance")
     steady: dict[str, Stationarity] = {}
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         for name, triad in triads.items():
             steady[name] = judge_stationarity(tables[name], triad.step)
             findings += stationarity_findings(tables[name], steady[name], name)

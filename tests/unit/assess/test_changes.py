@@ -7,6 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.assess.changes import change_findings, with_changes
+from gnomon.estimate.trust import changes
 from gnomon.estimate.trust.changes import parameter_changes
 from gnomon.estimate.trust.clusters import ClusterSums
 from gnomon.formats.own.calibration_file import load
@@ -187,6 +188,21 @@ def test_errors_that_outlast_all_clusters_are_no_change():
     whole = np.linalg.solve(bent.total, bent.pull.sum(axis=0))
     bent = replace(bent, pull=bent.pull - bent.information @ whole)
     assert found(bent) == ()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_spares_the_scatter_is_never_above_how_often_chance_makes_a_change(seed):
+    sums = pulls(seed, memory=0.4)
+    scan = changes._Scan(sums=sums, wandering=None, looks=1)
+    blocks, _ = changes._blocks(sums, np.eye(P), NAMES, np.ones(P, dtype=bool), ())
+    for block in blocks:
+        cut = changes._at(sums.t_s, 15)
+        estimate = scan._estimate(block, cut)
+        assert estimate is not None
+        assert scan._explained([block], [cut])[0, 0] == pytest.approx(float(estimate.w @ estimate.w), rel=1e-5)
+        for cluster in changes._clusters(len(sums)):
+            exact = changes._chance_with(estimate, cluster, 0.0, lasting=False)
+            assert changes._chance_with(estimate, cluster, 1e-300, lasting=False) <= exact * (1 + 1e-9)
 
 
 def test_too_few_stretches_tell_nothing():

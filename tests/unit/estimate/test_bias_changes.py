@@ -8,6 +8,8 @@ import pytest
 from gnomon.estimate.multiposition.bias_changes import (
     BiasChanges,
     RestMeans,
+    _products_before,
+    _squares_before,
     accelerometer_changes,
     gyroscope_changes,
     shares_before,
@@ -21,6 +23,20 @@ N = 40
 T_S = np.concatenate([[25.0], 50 + 6.0 * np.arange(N - 1)])
 HALF_S = np.concatenate([[25.0], np.full(N - 1, 2.0)])
 SIGMA = 4e-4 / np.sqrt(2 * HALF_S)[:, None] * np.ones(3)
+
+
+def test_products_before_each_row_are_those_of_the_rows_before_it():
+    rng = np.random.default_rng(8)
+    root, columns = rng.normal(size=(2, 9, 9)), rng.normal(size=(9, 3))
+    matrices = root @ np.swapaxes(root, 1, 2)
+    found = _products_before(matrices, columns)
+    for row in range(9):
+        before = columns[: row + 1]
+        expected = before.T @ matrices[:, : row + 1, : row + 1] @ before
+        np.testing.assert_allclose(found[:, row], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        _squares_before(matrices, columns), np.einsum("knii->kni", found), rtol=1e-12, atol=1e-12
+    )
 
 
 def directions(rng):

@@ -3,7 +3,7 @@
 import copy
 import pickle
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from multiprocessing import get_context
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 import gnomon
 from cameras_result import make_cameras_result
-from gnomon.frozen import FrozenMapping
+from gnomon.frozen import FrozenMapping, value_class
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 
@@ -151,3 +151,30 @@ def test_a_frozen_mapping_is_read_like_a_dict_and_cannot_be_changed():
     with pytest.raises(TypeError):
         frozen["a"] = 3
     assert type(copy.deepcopy(frozen)) is FrozenMapping
+
+
+@value_class
+class _Made:
+    """A value with all that a field may be."""
+
+    hz: float
+    unit: str = "Hz"
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hz", float(self.hz))
+
+
+def test_the_first_and_the_hundredth_value_of_a_class_are_made_alike() -> None:
+    for _ in range(100):
+        value = _Made(hz=2)
+        assert (type(value.hz), value.hz, value.unit, value.notes) == (float, 2.0, "Hz", [])
+        assert _Made(hz=1, unit="rad/s", notes=["a"]).notes == ["a"]
+
+
+@pytest.mark.parametrize("wrong", [{}, {"hz": 1.0, "khz": 2.0}, {"unit": "Hz"}])
+def test_missing_and_unknown_fields_are_refused_from_the_first_value_on(wrong: dict[str, object]) -> None:
+    made = value_class(type("Made", (), {"__annotations__": {"hz": float}, "__doc__": "One."}))
+    for _ in range(2):
+        with pytest.raises(TypeError):
+            made(**wrong)

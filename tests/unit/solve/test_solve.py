@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.solve.arrow import ArrowSystem, solve_arrow
+from gnomon.solve.arrow import ArrowSystem, reduced_normal_equations, solve_arrow
 from gnomon.solve.levenberg_marquardt import levenberg_marquardt
 
 
@@ -53,6 +53,17 @@ def test_arrow_is_the_dense_inverse(n, d):
     k = np.arange(n)
     np.testing.assert_allclose(solution.state_covariance, chain[k, :, k, :], **close)
     np.testing.assert_allclose(solution.next_covariance, chain[k[:-1], :, k[1:], :], **close)
+
+
+def test_threes_that_are_tried_alone_lose_only_their_products_with_each_other():
+    system, *_ = random_system(30, 2, 10, seed=4)
+    whole, right, lowered = reduced_normal_equations(system)
+    apart, same_right, same_lowered = reduced_normal_equations(system, 6)
+    told = np.ones((10, 10), dtype=bool)
+    told[4:7, 7:] = told[7:, 4:7] = False
+    np.testing.assert_allclose(apart[told], whole[told], rtol=1e-12, atol=1e-12 * np.abs(whole).max())
+    np.testing.assert_array_equal(same_right, right)
+    assert same_lowered == lowered
 
 
 def test_arrow_refuses_what_is_not_positive_definite():
