@@ -31,14 +31,15 @@ def cpu():
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(one.ru_utime + one.ru_stime for one in used)
 import gnomon, scipy.linalg, scipy.optimize, scipy.sparse, scipy.stats, scipy.signal, scipy.interpolate, cv2
-{prepare}
-{work}
-before = cpu()
-for _ in range({repeats}):
+spent = 0.0
+for number in range(1 + {repeats}):
+    exec({prepare!r})
+    before = cpu()
     {work}
-print("seconds", (cpu() - before) / {repeats})
+    spent += (cpu() - before) * bool(number)
+print("seconds", spent / {repeats})
 """
-"""The first, uncounted, time imports what is imported on demand."""
+"""The first, uncounted, time imports what is imported on demand. Each time the recording is read anew."""
 READ_RIG = "recording, target = gnomon.read_camera_imu({folder!r}, cam={cam!r}, imu={imu!r}, target={target!r})"
 RIG = "gnomon.calibrate_camera_imu(recording, target{options})"
 TRACK = """

@@ -14,7 +14,7 @@ from ...recording import Floats
 from ...results.result import Booleans
 from .magnitude import fit_magnitude
 from .problem import MultiPositionProblem
-from .rotations import integrate_rates
+from .rotations import integrate_rates, segment_moments
 
 _LEAST_TILT = 0.5  # of gravity's unit vector; what turns about the vertical more than that tells too little
 _SIGNED = np.array([
@@ -98,10 +98,7 @@ def _turns_of(problem: MultiPositionProblem) -> _Turns:
     u_path, u = (
         _directions((read - fit.bias) @ fit.correction.T) for read in (segments.accelerometer, data.accelerometer)
     )
-    weight = 0.5 * segments.dt_s
-    weight[1:] += 0.5 * segments.dt_s[:-1]
-    products = np.einsum("na,ni->nai", weight[:, None] * _rates(problem), u_path)
-    sums = np.add.reduceat(products.reshape(-1, 9), segments.first).reshape(-1, 3, 3)
+    sums = segment_moments(segments, _rates(problem), u_path)
     by_axes = -np.cross(np.eye(3)[None, None], sums[:, :, None])  # of axis a along j: -e_j x (sum of y_a u)
     return _Turns(problem=problem, path=u_path, u=u, felt=np.einsum("pja,kajc->pkc", _SIGNED, by_axes))
 

@@ -169,6 +169,15 @@ def propagate_directions(rotation: Floats, u_start: Floats) -> Floats:
     return np.einsum("kij,ki->kj", rotation, u_start)
 
 
+def segment_moments(segments: MotionSegments, a: Floats, b: Floats) -> Floats:
+    """Return the integrals of a_i b_j over each rotation, (m, 3, 3), of values (n, 3) at the samples."""
+    weight = 0.5 * segments.dt_s
+    weight[1:] += 0.5 * segments.dt_s[:-1]
+    weighted = weight[:, None] * b
+    ends = zip(segments.first, segments.first + segments.lengths, strict=True)
+    return np.array([a[first:last].T @ weighted[first:last] for first, last in ends]).reshape(-1, 3, 3)
+
+
 def linear_start(segments: MotionSegments, u_path: Floats) -> tuple[Floats, Floats]:
     """Return a first estimate of C_g (3, 3) and how well each of its entries is known, without any guess.
 
@@ -184,12 +193,7 @@ def linear_start(segments: MotionSegments, u_path: Floats) -> tuple[Floats, Floa
     -------
     (3, 3) correction with omega = C y, and (9,) singular values of the scaled problem, largest first
     """
-    weight = 0.5 * segments.dt_s
-    weight[1:] += 0.5 * segments.dt_s[:-1]
-    weighted = weight[:, None] * segments.gyroscope
-    moments = np.empty((len(segments.lengths), 3, 3))  # integral of u_b y_c
-    for b in range(3):
-        moments[:, b] = np.add.reduceat(u_path[:, b : b + 1] * weighted, segments.first)
+    moments = segment_moments(segments, u_path, segments.gyroscope)
     last = segments.first + segments.lengths - 1
     change = u_path[last] - u_path[segments.first]
     levi_civita = np.zeros((3, 3, 3))

@@ -51,14 +51,14 @@ def with_sampling_error(data: MultiPositionData, state: MultiPositionState) -> M
 
 def _every_second(segments: MotionSegments) -> tuple[MotionSegments, Booleans]:
     """Return the rotations with every second sample and the last, and which samples these are."""
-    first = np.repeat(segments.first, segments.lengths)
-    number = np.arange(len(first)) - first
-    last = number == np.repeat(segments.lengths, segments.lengths) - 1
-    kept = (number % 2 == 0) | last
+    kept = np.zeros(len(segments.dt_s), dtype=bool)
+    for first, length in zip(segments.first, segments.lengths, strict=True):
+        kept[first : first + length : 2] = True
+    kept[segments.first + segments.lengths - 1] = True
+    lengths = segments.lengths // 2 + 1
     instants = np.cumsum(segments.dt_s) - segments.dt_s  # dt is 0 at the last sample of each
     dt_s = np.append(np.diff(instants[kept]), 0.0)
-    dt_s[last[kept]] = 0.0
-    lengths = np.add.reduceat(kept.astype(np.int64), segments.first)
+    dt_s[np.cumsum(lengths) - 1] = 0.0
     halved = MotionSegments(
         gyroscope=segments.gyroscope[kept], accelerometer=segments.accelerometer[kept], dt_s=dt_s, lengths=lengths
     )
