@@ -14,6 +14,7 @@ from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.simulate.camera_imu_frames import View
+from support.healthy import healthy_rig
 
 MOVED_AT_S = 9.0
 ONE = CameraImuScenario(
@@ -63,6 +64,13 @@ def seen_in_part(recording, rng):
 
 def told(recording, target):
     return [finding for finding in check_corners(recording, target) if finding.code == "board-moved"]
+
+
+def test_a_board_that_was_out_of_sight_while_the_camera_turned_is_not():
+    """How the gyroscope's errors turn it meanwhile is told by all that it read, not by the rate before and after."""
+    for seed in (860005, 860010):
+        simulation = simulate_camera_imu(healthy_rig(seed), seed)
+        assert told(simulation.recording, simulation.target) == []
 
 
 @pytest.mark.parametrize("turn_deg", [(2.0, 0.0, 0.0), (0.0, -1.2, 0.6)])

@@ -209,8 +209,9 @@ def quantity_changes(change: ParameterChange, calibration: Calibration) -> tuple
         )
         for name, size, sigma in _sizes(change, sensor, rest, calibration)
     ]
-    certain = [one for one in found if one.size > max(_CERTAIN * one.sigma, _ROUNDING)]
-    return tuple(certain or sorted(found, key=lambda one: one.sigma / max(one.size, 1e-300))[:1])
+    moved = [one for one in found if one.size > _ROUNDING] or found
+    certain = [one for one in moved if one.size > _CERTAIN * one.sigma]
+    return tuple(certain or sorted(moved, key=lambda one: one.sigma / max(one.size, 1e-300))[:1])
 
 
 def _sizes(

@@ -23,6 +23,7 @@ from ..detect.samples.threshold import (
 )
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
+from ..estimate.multiposition.change_causes import change_by_one_cause
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.multiposition.scaling import (
@@ -33,7 +34,6 @@ from ..estimate.multiposition.scaling import (
     to_physical_units,
     with_runs,
 )
-from ..estimate.multiposition.sudden_changes import sudden_change
 from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.changes import estimates_are_judged
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
@@ -364,6 +364,7 @@ def _trusted(
         both[: len(ordinary), : len(ordinary)] = ordinary
         ordinary = both
     kept = with_runs(fit)
+    sensitivities = estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity
     trust = robust_covariance(
         segment_sums(fit),
         jacobian,
@@ -372,7 +373,7 @@ def _trusted(
         biases=_BIASES,
         widened=options.covariance == "robust",
         single=None if np.array_equal(kept, fit.rotation_used) else segment_sums(fit, kept),
-        sudden=partial(sudden_change, fit, (estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity)),
+        by_cause=partial(change_by_one_cause, fit, sensitivities),
     )
     return trust, np.sqrt(np.diag(from_unseen))
 

@@ -166,9 +166,9 @@ def at_once():
 
 def test_what_is_found_at_once_counts_where_its_block_shows_no_change_otherwise():
     shift = replace(at_once(), block="imu0.accelerometer.sensitivity")
-    assert found(pulls(1), sudden=lambda: shift) == (shift,)
-    assert found(pulls(1), sudden=lambda: None) == ()
-    (own,) = found(pulls(4, changed=only(shift.block, [2.0, 2.0, 2.0]), share=step(20)), sudden=lambda: shift)
+    assert found(pulls(1), by_cause=lambda: shift) == (shift,)
+    assert found(pulls(1), by_cause=lambda: None) == ()
+    (own,) = found(pulls(4, changed=only(shift.block, [2.0, 2.0, 2.0]), share=step(20)), by_cause=lambda: shift)
     assert own is not shift
 
 

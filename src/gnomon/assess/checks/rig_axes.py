@@ -10,6 +10,7 @@ window; the accelerometer is averaged with the same one. The products of A_a wit
 are unknowns of their own, so that all of it stays linear.
 """
 
+from dataclasses import replace
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -377,11 +378,12 @@ def frame_times(
     close = (np.diff(t_s) < _LONGEST_S) & compared
     if close.sum() < _RIG_FRAMES_FEWEST:
         return None
-    in_camera = (stream.rate - axes.offset) @ np.linalg.inv(axes.matrix).T
-    rate, read = _turned(stream.t_s, in_camera, t_s)
-    seen = R[:-1] @ np.swapaxes(R[1:], 1, 2)
-    apart = rotvec_from_rotation(np.swapaxes(seen, 1, 2) @ read)
-    differs = np.where(close[:, None], apart, 0.0)
+    stream = replace(stream, rate=(stream.rate - axes.offset) @ np.linalg.inv(axes.matrix).T)  # in the camera's axes
+    rate, read = _turned(stream.t_s, stream.rate, t_s)
+    turned_back = R[1:] @ np.swapaxes(R[:-1], 1, 2)
+    differs = np.where(close[:, None], rotvec_from_rotation(turned_back @ read), 0.0)
+    errors, by_change = _errors_of_rate(stream, t_s, rate, differs, close)
+    corrected = rotvec_from_rotation(turned_back @ _turned(stream.t_s, stream.rate - errors, t_s)[1])
     sigma = _noise(differs[close], 0.5 * (rate[1:] + rate[:-1])[close])
     late, sigma_s = _lateness(differs, rate, close, sigma)
     ends = np.pad(late, _NEIGHBOURS // 2, mode="edge")
@@ -390,7 +392,7 @@ def frame_times(
         late_s=late - np.median(late),
         alone_s=late - np.median(sliding_window_view(ends, _NEIGHBOURS), axis=1),
         sigma_s=sigma_s,
-        turns=board_turns(t_s - axes.delay_s, poses, apart - _felt(stream, t_s, rate, apart, close), compared),
+        turns=board_turns(t_s - axes.delay_s, poses, corrected - np.diff(rate, axis=0) @ by_change, compared),
         differs_rad=differs,
         change_rad_s=np.diff(rate, axis=0) * close[:, None],
     )
@@ -451,10 +453,12 @@ def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) ->
     return late, 1 / np.sqrt(diagonal)
 
 
-def _felt(stream: ImuStream, t_s: Floats, rate: Floats, differs: Floats, close: Booleans) -> Floats:
-    """Return the part of what differs (n - 1, 3) that errors of the gyroscope and of the clock explain.
+def _errors_of_rate(
+    stream: ImuStream, t_s: Floats, rate: Floats, differs: Floats, close: Booleans
+) -> tuple[Floats, Floats]:
+    """Return errors (k, 3) of the gyroscope's readings, and of rotations by the change (3, 3) of the rate meanwhile.
 
-    They are linear in the specific force, the rate, the time and the change of the rate.
+    What differs between frames that are close tells them, linear in the specific force, the rate and the time.
     """
     middle, length = 0.5 * (t_s[1:] + t_s[:-1]), np.diff(t_s)
     force = np.stack([np.interp(middle, stream.t_s, stream.force[:, i]) for i in range(3)], axis=1)
@@ -466,4 +470,5 @@ def _felt(stream: ImuStream, t_s: Floats, rate: Floats, differs: Floats, close: 
         solution = np.linalg.lstsq(design[weight], differs[weight], rcond=None)[0]
         rest = np.linalg.norm(differs - design @ solution, axis=1)
         weight = close & (rest <= 4 * float(np.median(rest[close])))
-    return design @ solution
+    steady = np.column_stack([stream.force, stream.rate, np.ones(len(stream.rate))])
+    return steady @ solution[: steady.shape[1]], np.asarray(solution[steady.shape[1] :], dtype=np.float64)

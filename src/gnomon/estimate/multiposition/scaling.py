@@ -23,7 +23,7 @@ from .fit import MultiPositionFit
 from .model import B_, BG_, CG_, G_, LOWER, S_, MultiPositionState
 from .noise_levels import rotation_variance
 
-_RUN, _MOST_OF_RUN = 5, 4  # rotations
+_RUNS = (5, 4), (3, 3)  # rotations that follow each other, and how many of them
 
 
 def segment_sums(fit: MultiPositionFit, rotations: Booleans | None = None) -> ClusterSums:
@@ -65,10 +65,11 @@ def with_runs(fit: MultiPositionFit) -> Booleans:
     """
     linked = np.flatnonzero(fit.data.linked)
     out = ~fit.rotation_used[linked]
-    many = np.convolve(out, np.ones(_RUN), mode="full")  # number left out of the last few, up to each
     used = fit.rotation_used.copy()
-    for end in np.flatnonzero(many[: len(out)] >= _MOST_OF_RUN):
-        used[linked[max(0, end - _RUN + 1) : end + 1]] = True
+    for length, most in _RUNS:
+        many = np.convolve(out, np.ones(length), mode="full")  # number left out of the last few, up to each
+        for end in np.flatnonzero(many[: len(out)] >= most):
+            used[linked[max(0, end - length + 1) : end + 1]] = True
     return used
 
 

@@ -36,6 +36,9 @@ from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from .clusters import ClusterSums
 
+STEADILY = "steadily, from the first to the last"
+TOLD_APART = 3.0  # standard deviations by which one course of a change has to be better than another
+
 _CHANCE = 0.005
 """That a recording in which nothing changed is said to have changed; over all looks."""
 
@@ -154,7 +157,7 @@ def parameter_changes(
     biases: Collection[str] = (),
     judged: Booleans | None = None,
     order: Integers | None = None,
-    sudden: Callable[[], ParameterChange | None] | None = None,
+    by_cause: Callable[[], ParameterChange | None] | None = None,
 ) -> tuple[ParameterChange, ...]:
     """Return the blocks of parameters that changed during a recording, most certain first.
 
@@ -167,14 +170,14 @@ def parameter_changes(
     judged : (m,) bool, scalars that were estimated and are to be judged; all where not given
     order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared, where each is a
         view by itself that may be of another kind than the next; not given where they follow each other in time
-    sudden : asked for a change by one cause at one instant, which may tell of a block that shows none otherwise
+    by_cause : asked for a change by one cause, which may tell of a block that shows none otherwise
     """
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
         return ()
     if (postponed := _POSTPONED.get()) is not None:
         again = partial(parameter_changes, sums, jacobian, names, biases=biases, judged=judged, order=order)
-        postponed.append(partial(again, sudden=sudden))
+        postponed.append(partial(again, by_cause=by_cause))
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     sums, jacobian = _followed(sums, jacobian)
@@ -187,10 +190,10 @@ def parameter_changes(
         best = scan.most_certain(blocks, courses)
         if best is None:
             break
-        found.append(scan.published(*best, jacobian, names))
+        found.append(scan.published(*scan.to_ends(*best, courses), jacobian, names))
         scan = scan.beside(*best)
         blocks = [other for other in blocks if other.path != best[0].path]
-    at_once = sudden() if sudden is not None else None
+    at_once = by_cause() if by_cause is not None else None
     if at_once is not None and at_once.block not in {one.block for one in found}:
         found.append(at_once)
     return tuple(found)
@@ -243,6 +246,17 @@ class _Scan:
             if cut is not None and chance < least:
                 best, least = (block, cut), chance
         return best
+
+    def to_ends(self, block: _Block, cut: _Cut, courses: Sequence[Sequence[_Cut]]) -> tuple[_Block, _Cut]:
+        """Return a change as a drift where it may as well be one: of its two ends the parts tell half."""
+        steady, found = courses[-1][-1], self._estimate(block, cut)
+        if steady.words != STEADILY or cut is steady or found is None or self._estimate(block, steady) is None:
+            return block, cut
+        of_cut, of_steady = self._explained([block], [cut, steady])[:, 0]
+        scatter = np.trace(_scatter(found, _clusters(len(self.sums))[-1], lasting=True)[0]) / len(found.w)
+        if of_cut - of_steady > TOLD_APART**2 * scatter:
+            return block, cut
+        return block, replace(steady, words=f"{STEADILY}, or {cut.words}")
 
     def _sorted(self, block: _Block) -> _Cut | None:
         """Return the cut between stretches that tell of two values of a block; None where a part has too few."""
@@ -423,7 +437,7 @@ def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:
         courses.append([_Cut(share=odd.astype(np.float64), words="every other one against those between")])
     span = float(t_s[-1] - t_s[0])
     if span > 0:
-        courses.append([_Cut(share=(t_s - t_s[0]) / span, words="steadily, from the first to the last")])
+        courses.append([_Cut(share=(t_s - t_s[0]) / span, words=STEADILY)])
     return courses
 
 

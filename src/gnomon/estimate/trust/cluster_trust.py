@@ -66,7 +66,7 @@ def robust_covariance(
     widened: bool = True,
     single: ClusterSums | None = None,
     order: Integers | None = None,
-    sudden: Callable[[], ParameterChange | None] | None = None,
+    by_cause: Callable[[], ParameterChange | None] | None = None,
 ) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
@@ -84,7 +84,7 @@ def robust_covariance(
     widened : whether the covariance from clusters is wanted, not that for independent errors
     single, order : sums of single views, and their numbers as they were recorded, by which changes are looked for;
         those of the stretches where not given
-    sudden : see `parameter_changes`
+    by_cause : see `parameter_changes`
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     number = {path: k for k, path in enumerate(dict.fromkeys(paths))}
@@ -113,7 +113,7 @@ def robust_covariance(
             ratios=_ratios(found, paths, estimated) if widened else (),
             splits=comparison.splits(estimated, biased, length),
             changes=parameter_changes(
-                single or sums, jacobian, names, biases=biases, judged=estimated, order=order, sudden=sudden
+                single or sums, jacobian, names, biases=biases, judged=estimated, order=order, by_cause=by_cause
             ),
         ),
         instabilities=tuple(comparison.instability(path, estimated) for path in biases if (paths == path).any())

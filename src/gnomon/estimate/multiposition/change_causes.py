@@ -1,4 +1,4 @@
-"""Whether a triad turned in its housing, or its scales changed, at one instant, told from few rests.
+"""Whether a triad turned in its housing, or its scales changed, at one instant or steadily, told from few rests.
 
 One cause moves three numbers: the angles by which a triad turns, or its three gains. Where a rest r begins, three such
 parameters d join the linearised problem of `model.py` beside all others. With the gyroscope's axes C, rotation k and
@@ -9,11 +9,12 @@ the direction of gravity p that it leads to
     gyroscope's gains         C after r becomes C (1 - diag d)
     accelerometer's gains     S u after r becomes (1 + diag d) S u
 
-T = d' V^-1 d over the mean square of what is left of the residuals of that kind, of nu degrees of freedom, follows
-3 F(3, nu). Where the mean square is no larger than what the noise at rest explains, that counts as so many degrees of
-freedom more (a prior on the variance, as Smyth, 2004). This is the likelihood-ratio test of a linear model, the most
-powerful that no choice of units changes (Lehmann and Romano, Testing Statistical Hypotheses, 7.3). Over all causes and
-instants the least chance counts, times their number.
+Gains that drift do so by d times the share of the time that has passed. T = d' V^-1 d over the mean square of what is
+left of the residuals of that kind, of nu degrees of freedom, follows 3 F(3, nu). Where the mean square is no larger
+than what the noise at rest explains, that counts as so many degrees of freedom more (a prior on the variance, as Smyth,
+2004). This is the likelihood-ratio test of a linear model, the most powerful that no choice of units changes (Lehmann
+and Romano, Testing Statistical Hypotheses, 7.3). Over all causes the least chance counts, times their number and that
+of instants, a drift being as likely as all instants together. Where it explains as much, a change is judged as one.
 """
 
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from ...solve.arrow import reduced_normal_equations
+from ..trust.changes import STEADILY, TOLD_APART
 from .fit import GATE_SIGMA, MultiPositionFit, sum_of_squares
 from .model import CG_, Whitening, normal_equations
 from .noise_levels import residual_freedom, rotation_variance
@@ -35,7 +37,7 @@ from .scaling import with_runs
 
 _CHANCE = 0.005  # that a recording in which nothing changed is said to have changed
 _FEWEST = 3  # rotations on either side
-_CAUSES = 4
+_CAUSES, _STEADY_CAUSES = 4, 2
 _MOST_PLACES, _PLACES_COUNT = 40, 8  # that are tried, that count as looks
 _NOISE_COUNTS = 20.0  # degrees of freedom that the noise at rest counts as: variances that it tells to 30 %
 _FEWEST_LEFT = 6.0  # degrees of freedom
@@ -44,7 +46,7 @@ _LARGEST = 0.1  # standard deviation of a change beforehand [rad, 1]
 
 @value_class
 class _Cause:
-    """What may have happened, at each of k rests: derivatives of the residuals by the change.
+    """What may have happened: derivatives of the residuals by it, at each of k rests, or the last of k steadily.
 
     `at_rest` (k, n, 3, 3) of the accelerometer, `rotation` (k, n - 1, 2, 3); `by_change` (9, 3) of the sensitivity.
     """
@@ -63,10 +65,10 @@ class _Cause:
 
 @value_class
 class _Change:
-    """A change (3,) at rest `place`, its information at unit variance, the variance, and how often chance makes it."""
+    """A change (3,) at rest `place`, steady where None, its information at unit variance, the variance, its chance."""
 
     cause: _Cause
-    place: int
+    place: int | None
     size: Floats
     information: Floats
     variance: float
@@ -77,8 +79,13 @@ class _Change:
         """Covariance (3, 3)."""
         return np.asarray(self.variance * np.linalg.inv(self.information), dtype=np.float64)
 
+    def explains_as(self, other: "_Change") -> bool:
+        """Tell whether another change explains hardly more than this."""
+        apart = other.size @ other.information @ other.size - self.size @ self.information @ self.size
+        return bool(apart < TOLD_APART**2 * other.variance)
 
-def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -> ParameterChange | None:
+
+def change_by_one_cause(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -> ParameterChange | None:
     """Return the change that chance explains least, where it hardly does.
 
     Parameters
@@ -91,19 +98,26 @@ def sudden_change(fit: MultiPositionFit, sensitivities: tuple[Floats, Floats]) -
         return None
     places = np.unique(np.linspace(first, last, min(last - first + 1, _MOST_PLACES)).round().astype(int))
     causes, weights = _causes(fit, places, sensitivities), _Weights.of(fit, with_runs(fit))
-    found = min((one for cause in causes for one in _tried(fit, weights, cause, places)), key=lambda one: one.chance)
-    chance = found.chance * _CAUSES * min(len(places), _PLACES_COUNT)
-    if chance > _CHANCE:
+    tried = [one for cause in causes for one in _tried(fit, weights, cause, places)]
+    found = min(tried, key=lambda one: one.chance)
+    if found.chance > _CHANCE:
         return None
-    at_s, by_change, block = float(fit.data.rotation_s[found.place - 1]), found.cause.by_change, found.cause.block
+    at_s, where = float("nan"), STEADILY
+    if found.place is not None:
+        at_s = float(fit.data.rotation_s[found.place - 1])
+        where = f"after {at_s:.4g} s, against the time before"
+        drifts = [one for one in tried if one.place is None and one.cause is found.cause]
+        if drifts and drifts[0].explains_as(found):
+            found, at_s, where = drifts[0], float("nan"), f"{STEADILY}, or {where}"
+    by_change, block = found.cause.by_change, found.cause.block
     return ParameterChange(
         block=block,
         names=tuple(f"{block}[{i},{j}]" for i in range(3) for j in range(3)),
         values=by_change @ found.size,
         covariance=by_change @ found.covariance @ by_change.T,
-        where=f"after {at_s:.4g} s, against the time before",
+        where=where,
         at_s=at_s,
-        chance=chance,
+        chance=found.chance,
     )
 
 
@@ -114,7 +128,7 @@ def least_turn_seen(fit: MultiPositionFit) -> float:
     problem = _Problem.of(fit, _Weights.of(fit, with_runs(fit)), turned)
     if problem.freedom < _FEWEST_LEFT:
         return float("inf")
-    largest = _exceeded_by(_CHANCE / (_CAUSES * _PLACES_COUNT), problem.freedom + _NOISE_COUNTS)
+    largest = _exceeded_by(_CHANCE / (2 * _CAUSES * _PLACES_COUNT), problem.freedom + _NOISE_COUNTS)
     return float(np.sqrt(3 * largest * np.linalg.eigvalsh(problem.change_at(0, int(middle[0])).covariance)[-1]))
 
 
@@ -126,8 +140,9 @@ def triad_causes(sensitivity: Floats) -> tuple[Floats, Floats]:
 
 def _causes(fit: MultiPositionFit, places: Integers, sensitivities: tuple[Floats, Floats]) -> Iterator[_Cause]:
     lines, (s, _, c_g, _, _) = fit.lines, fit.state.matrices
-    k, n = len(places), len(fit.state.u)
+    k, n, t_s = len(places), len(fit.state.u), fit.data.interval_s
     after = np.arange(n) >= places[:, None]
+    grown = [np.concatenate([after[:, : len(at)], [(at - t_s[0]) / np.ptp(t_s)]]) for at in (t_s, fit.data.rotation_s)]
     turn, gain = triad_causes(sensitivities[1])
     none, by_c = np.zeros((k, n, 3, 3)), lines.rotation_theta[..., CG_]
     turned = after[:, :-1, None, None] * (by_c @ np.moveaxis(skew(np.eye(3)) @ c_g, 0, -1).reshape(9, 3))
@@ -136,10 +151,10 @@ def _causes(fit: MultiPositionFit, places: Integers, sensitivities: tuple[Floats
     ends = np.arange(n - 1) == places[:, None] - 1
     turned = turned + ends[:, :, None, None] * jump
     yield _Cause(triad="gyroscope", jumps=True, at_rest=none, rotation=turned, by_change=-turn)
-    gained = after[:, :-1, None, None] * (by_c @ -np.einsum("ij,jk->ijk", c_g, np.eye(3)).reshape(9, 3))
+    gained = grown[1][:, :, None, None] * (by_c @ -np.einsum("ij,jk->ijk", c_g, np.eye(3)).reshape(9, 3))
+    none, still = np.zeros((k + 1, n, 3, 3)), np.zeros((k + 1, n - 1, 2, 3))
     yield _Cause(triad="gyroscope", jumps=False, at_rest=none, rotation=gained, by_change=gain)
-    gained = after[:, :, None, None] * ((fit.state.u @ -s.T)[:, :, None] * np.eye(3))
-    still = np.zeros((k, n - 1, 2, 3))
+    gained = grown[0][:, :, None, None] * ((fit.state.u @ -s.T)[:, :, None] * np.eye(3))
     gain = triad_causes(sensitivities[0])[1]
     yield _Cause(triad="accelerometer", jumps=False, at_rest=gained, rotation=still, by_change=gain)
 
@@ -167,14 +182,15 @@ class _Weights:
 
 
 def _tried(fit: MultiPositionFit, weights: _Weights, cause: _Cause, places: Integers) -> Iterator[_Change]:
-    """Yield a cause's change at each rest.
+    """Yield a cause's change at each rest, and steadily.
 
     A rotation that was left out as an outlier may be the one in which the accelerometer turned: left out, it costs as
     much as the largest residual that is none.
     """
     kept, without = weights.kept, _Problem.of(fit, weights, cause)
-    for k, place in enumerate(places.tolist()):
-        if cause.jumps and fit.data.linked[place - 1] and not kept[place - 1]:
+    for k in range(len(cause.rotation)):
+        place = int(places[k]) if k < len(places) else None
+        if cause.jumps and place is not None and fit.data.linked[place - 1] and not kept[place - 1]:
             beside = _Problem.of(fit, _Weights.of(fit, kept | (np.arange(len(kept)) == place - 1)), cause)
             yield beside.change_at(k, place, GATE_SIGMA**2 + without.cost - beside.cost)
         else:
@@ -242,7 +258,7 @@ class _Problem:
             sizes=np.linalg.solve(own, score[:, :, None])[:, :, 0],
         )
 
-    def change_at(self, k: int, place: int, allowed: float = 0.0) -> _Change:
+    def change_at(self, k: int, place: int | None, allowed: float = 0.0) -> _Change:
         """Return the change at the k-th of the rests; `allowed` is by how much the cost was lower without it."""
         size = self.sizes[k]
         t2 = float(size @ self.score[k])
@@ -250,10 +266,10 @@ class _Problem:
         if left < freedom * self.known:
             left, freedom = left + _NOISE_COUNTS * self.known, freedom + _NOISE_COUNTS
         mean = left / max(freedom, 1.0)
+        looks = _STEADY_CAUSES if place is None else _CAUSES * min(len(self.sizes), _PLACES_COUNT)
         chance = 1.0 if self.freedom < _FEWEST_LEFT else _chance(max(t2 + allowed, 0.0) / (3 * mean), freedom)
-        return _Change(
-            cause=self.cause, place=place, size=size, information=self.information[k], variance=mean, chance=chance
-        )
+        told, chance = self.information[k], 2 * looks * chance
+        return _Change(cause=self.cause, place=place, size=size, information=told, variance=mean, chance=chance)
 
 
 _OF_THREE = 2 / 27

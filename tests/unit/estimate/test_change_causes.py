@@ -1,4 +1,4 @@
-"""A triad that turned in its housing, or whose scales changed, at one instant of a recording of few rests."""
+"""A triad that turned in its housing, or whose scales changed at once or steadily, in a recording of few rests."""
 
 from dataclasses import replace
 
@@ -6,21 +6,29 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.multiposition.sudden_changes import triad_causes
+from gnomon.estimate.multiposition.change_causes import triad_causes
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 TURN, GAIN = np.radians([0.3, -0.4, 0.2]), np.array([0.0, 4e-3, 0.0])
 
 
-def changed(triad, later, seed, share=0.55):
-    """Return what is told to change where the triad's sensitivity is another from a share of the time on."""
+def at_once(share):
+    return lambda t_s: t_s > share * t_s[-1]
+
+
+def steadily(t_s):
+    return t_s / t_s[-1]
+
+
+def changed(triad, later, seed, course=None):
+    """Return what is told to change where the triad's sensitivity becomes another in the course of the time."""
     recording, truth = gnomon.simulate(gnomon.Scenario(intervals=18, hold_s=(1.5, 3.0), t_init_s=15.0), seed)
     imu, sensor = recording.imus["imu0"], getattr(truth.imus["imu0"], triad)
     samples = getattr(imu, triad)
     values = (samples.values - sensor.bias) @ np.linalg.inv(sensor.sensitivity).T @ later(sensor.sensitivity).T
-    late = samples.t_s > share * samples.t_s[-1]
-    edited = replace(samples, values=np.where(late[:, None], values + sensor.bias, samples.values))
+    late = (course or at_once(0.55))(samples.t_s)[:, None]
+    edited = replace(samples, values=samples.values + late * (values + sensor.bias - samples.values))
     recording = replace(recording, imus={"imu0": replace(imu, **{triad: edited})})
     return gnomon.calibrate_imu(recording).calibration.assessment
 
@@ -44,6 +52,25 @@ def test_what_changes_at_once_is_named_with_its_size(triad, later, quantity, siz
     assert size / 2 < change.size < 1.5 * size + 4 * change.sigma
     assert found.verdict == "warn"
     assert "parameter-changed" in {finding.code for finding in found.findings}
+
+
+@pytest.mark.long
+def test_a_scale_that_drifts_is_judged_by_its_ends():
+    """As a step it would be half as large."""
+    for seed, size in ((44, 8e-3), (45, 4e-3), (46, 8e-3)):
+        found = changed(GYROSCOPE, lambda s, size=size: np.diag([1, 1 + size, 1]) @ s, seed, steadily)
+        (change,) = [one for one in found.trust.changes if one.quantity == "gyroscope_scale"]
+        assert change.where.startswith("steadily, from the first to the last")
+        assert abs(change.size - size) < 4 * change.sigma < size
+        assert found.verdict == "warn"
+
+
+def test_rotations_before_a_change_are_no_outliers():
+    found = changed(GYROSCOPE, lambda s: s @ rotation_from_rotvec(4 * TURN), 47, at_once(0.28))
+    (change,) = [one for one in found.trust.changes if one.quantity == "gyroscope_misalignment"]
+    assert change.size > 0.01
+    assert "after 32" in change.where
+    assert found.verdict == "fail"
 
 
 def test_where_nothing_changes_nothing_is_named():
