@@ -116,7 +116,8 @@ def reduced_normal_equations(system: ArrowSystem, apart: int = 0) -> tuple[Float
 def column_products(a: Floats, b: Floats, apart: int = 0) -> Floats:
     """Return a'b (p, p), which is symmetric.
 
-    Of the last `apart` columns each three are tried without the others: their products with those are left zero.
+    The last `apart` columns are the first, second and third of each three that are tried without the others: what they
+    make with those is left zero.
     """
     kept = a.shape[1] - apart
     if not apart:
@@ -124,11 +125,12 @@ def column_products(a: Floats, b: Floats, apart: int = 0) -> Floats:
     found = np.zeros((a.shape[1], a.shape[1]))
     found[:kept] = a[:, :kept].T @ b
     found[kept:, :kept] = found[:kept, kept:].T
-    firsts = np.arange(kept, a.shape[1], 3)
+    numbers = np.arange(kept, a.shape[1]).reshape(3, -1)
     for i in range(3):
         for j in range(i + 1):
-            own = np.einsum("rk,rk->k", a[:, kept + i :: 3], b[:, kept + j :: 3])
-            found[firsts + i, firsts + j] = found[firsts + j, firsts + i] = own
+            one, other = numbers[i], numbers[j]
+            own = np.einsum("rk,rk->k", a[:, one[0] : one[-1] + 1], b[:, other[0] : other[-1] + 1])
+            found[one, other] = found[other, one] = own
     return found
 
 

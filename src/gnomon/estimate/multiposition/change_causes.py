@@ -223,7 +223,7 @@ class _Problem:
         prior = np.pad(whitening.prior, (0, new))
         prior[p:, p:] = np.eye(new) / _LARGEST**2
         zero, columns = np.zeros((len(cause.at_rest[0]), 3, new)), (cause.at_rest, cause.rotation)
-        at_rest, rotation = (np.moveaxis(one, 0, -2).reshape(*one.shape[1:3], new) for one in columns)
+        at_rest, rotation = (np.moveaxis(one, 0, -1).reshape(*one.shape[1:3], new) for one in columns)
         beside = replace(
             lines,
             accelerometer_theta=np.concatenate([lines.accelerometer_theta, at_rest], axis=2),
@@ -233,10 +233,12 @@ class _Problem:
         free = np.concatenate([fit.free, np.ones(new, dtype=bool)])
         system = normal_equations(beside, replace(whitening, prior=prior), np.pad(fit.from_prior, (0, new)), free, new)
         matrix, right, lowered = reduced_normal_equations(system, new)
-        of_change, q = np.arange(new).reshape(-1, 3) + int(fit.free.sum()), int(fit.free.sum())
-        solved = np.linalg.solve(matrix[:q, :q], np.column_stack([right[:q], matrix[:q, q:]]))
+        q = int(fit.free.sum())
+        of_change = q + np.arange(new).reshape(3, -1).T
+        across = matrix[:q, of_change.ravel()]
+        solved = np.linalg.solve(matrix[:q, :q], np.column_stack([right[:q], across]))
         gained = lowered + float(right[:q] @ solved[:, 0])
-        by_change, across = np.moveaxis(solved[:, 1:].reshape(q, -1, 3), 1, 0), matrix[:q, q:].reshape(q, -1, 3)
+        by_change, across = np.moveaxis(solved[:, 1:].reshape(q, -1, 3), 1, 0), across.reshape(q, -1, 3)
         own = matrix[of_change[:, :, None], of_change[:, None, :]] - np.einsum("qki,kqj->kij", across, by_change)
         if cause.triad == "gyroscope":
             left, freedom = whitening.rotation[:, None] * lines.rotation, float(weights.rotation[kept].sum())

@@ -351,7 +351,7 @@ def normal_equations(
 
 def _acting(theta: Floats, apart: int) -> tuple[Integers, int]:
     """Return which of the columns (n, i, p) are not zero, the last `apart` all or none, and how many of these."""
-    acts = (theta.reshape(-1, theta.shape[2]) != 0).any(axis=0)
+    acts = np.einsum("kip,kip->p", theta, theta) != 0
     last = slice(len(acts) - apart, len(acts))
     acts[last] = acts[last].any()
     return np.flatnonzero(acts), apart * bool(apart and acts[-1])

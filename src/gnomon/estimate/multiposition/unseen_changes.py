@@ -59,7 +59,7 @@ def alternative_models(fit: MultiPositionFit, triad: str, lines: MultiPositionLi
     present = fit.data.of_gyroscope if gyroscope else fit.data.of_accelerometer
     candidates, price = _candidates(fit, triad)
     first = PARAMETERS + 3 * len(fit.data.of_gyroscope.kind)
-    new = len(fit.free) + np.arange(3 * len(candidates.kind)).reshape(-1, 3)
+    new = len(fit.free) + np.arange(3 * len(candidates.kind)).reshape(3, -1).T
     own = (PARAMETERS if gyroscope else first) + np.arange(3 * len(present.kind)).reshape(-1, 3)
     levels = _levels(fit, triad, _beside(lines, candidates, triad), candidates.sigma)
     estimated, theta = np.flatnonzero(fit.free), np.append(fit.state.theta, np.zeros(new.size))
@@ -105,13 +105,16 @@ def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Float
 
 
 def _beside(lines: MultiPositionLinearization, candidates: BiasFunctions, triad: str) -> MultiPositionLinearization:
-    """Return a linearisation with the columns of all candidates, whose coefficients are zero, behind the others."""
+    """Return a linearisation with the columns of all candidates, whose coefficients are zero, behind the others.
+
+    Those of the first axis come first.
+    """
     count, n = 3 * len(candidates.kind), len(candidates.at_rest)
-    at_rest = -np.einsum("ij,kc->kicj", np.eye(3), candidates.at_rest).reshape(n, 3, count)
+    at_rest = -np.einsum("ij,kc->kijc", np.eye(3), candidates.at_rest).reshape(n, 3, count)
     rotation = np.zeros((n - 1, 2, count))
     if triad == "gyroscope":
         by_bias = lines.rotation_theta[..., BG_]
-        rotation = np.einsum("kc,kij->kicj", candidates.in_motion, by_bias).reshape(n - 1, 2, count)
+        rotation = np.einsum("kc,kij->kijc", candidates.in_motion, by_bias).reshape(n - 1, 2, count)
     columns = {"accelerometer": np.zeros((n, 3, count)), "gyroscope": np.zeros((n, 3, count)), triad: at_rest}
     columns["rotation"] = rotation
     return replace(
@@ -129,7 +132,7 @@ def _levels(fit: MultiPositionFit, triad: str, lines: MultiPositionLinearization
     """
     from_prior = np.append(fit.from_prior, np.zeros(sigma.size))
     prior = np.pad(fit.whitening.prior, (0, sigma.size))
-    np.fill_diagonal(prior[len(fit.free) :, len(fit.free) :], 1 / sigma.ravel() ** 2)
+    np.fill_diagonal(prior[len(fit.free) :, len(fit.free) :], 1 / sigma.T.ravel() ** 2)
     free = np.ones(len(from_prior), dtype=bool)
     scatter = getattr(fit.extra, triad)
     found: list[_Level] = []
