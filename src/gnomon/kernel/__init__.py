@@ -13,8 +13,8 @@ _INTERFACE = 6  # of kernel.c, which `library` is written for
 
 
 _LOOPS = (
-    *("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "running_sums", "descend_corners"),
-    *("fit_homography", "undo_png_filters", "join_columns"),
+    *("inertial_rows", "corner_sums", "add_spans", "integrate_rates", "sums", "running_sums"),
+    *("lagged_products", "descend_corners", "fit_homography", "undo_png_filters", "join_columns"),
 )
 
 
