@@ -528,12 +528,13 @@ def _explained_before(some: _Whitened, left: Floats, before: Floats, cuts: Integ
     before : (n, c) derivatives by these parameters
     cuts : numbers of static intervals
     """
-    size = np.sqrt(_squares_before(some.precision, before)[:, cuts - 1])
-    size = np.where(size > 0, size, 1.0)
+    squares = _squares_before(some.precision, before)[:, cuts - 1]
+    size = np.sqrt(np.where(squares > 0, squares, 1.0))
     of_y = left @ some.series.y
     cross = np.cumsum(before[:, :, None] * of_y[:, :, None], axis=1)[:, cuts - 1] / size[..., None]
     gram = _products_before(left, before)[:, cuts - 1] / (size[..., None] * size[..., None, :])
-    return np.sum(cross * np.linalg.solve(gram + _TOLD * np.eye(before.shape[1]), cross), axis=2)
+    told = max(_TOLD, 4 * np.finfo(np.float64).eps * len(before))  # beyond the rounding of the sums
+    return np.sum(cross * np.linalg.solve(gram + told * np.eye(before.shape[1]), cross), axis=2)
 
 
 def _orthonormal(design: Floats) -> tuple[Floats, Floats]:
