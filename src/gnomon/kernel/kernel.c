@@ -6,7 +6,11 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
+#if defined(__GNUC__) && defined(__x86_64__)
+#include <immintrin.h>
+#endif
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -28,7 +32,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 6 /* changes whenever the arguments of a function do */
+#define INTERFACE 7 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -74,6 +78,63 @@ static inline double dot(const double *a, const double *b) { return a[0] * b[0] 
 
 static inline void cross(const double *a, const double *b, double *out) {
     out[0] = a[1] * b[2] - a[2] * b[1], out[1] = a[2] * b[0] - a[0] * b[2], out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* products of rows */
+
+#define TOGETHER 8 /* columns that are summed up at once */
+
+static inline int64_t padded_width(int64_t w) { return (w + TOGETHER - 1) / TOGETHER * TOGETHER; }
+
+/* Adds the products of the columns of rows (n, stride) to the upper triangle of sums (w, stride), w up to a multiple of
+   four, stride of eight; left of the diagonal they mean nothing. */
+static void add_gram_plain(int64_t n, int64_t w, int64_t stride, const double *rows, double *sums) {
+    for (int64_t i = 0; i < w; i += 4)
+        for (int64_t j = i & ~(int64_t)(TOGETHER - 1); j < stride; j += TOGETHER) {
+            double total[4][TOGETHER] = {{0}};
+            for (int64_t k = 0; k < n; k++) {
+                const double *a = rows + k * stride + i, *b = rows + k * stride + j;
+                for (int r = 0; r < 4; r++)
+                    for (int c = 0; c < TOGETHER; c++) total[r][c] += a[r] * b[c];
+            }
+            for (int r = 0; r < 4; r++)
+                for (int c = 0; c < TOGETHER; c++) sums[(i + r) * stride + j + c] += total[r][c];
+        }
+}
+
+#if defined(__GNUC__) && defined(__x86_64__)
+__attribute__((target("avx2,fma"))) static void add_gram_wide(int64_t n, int64_t w, int64_t stride, const double *rows,
+                                                              double *sums) {
+    for (int64_t i = 0; i < w; i += 4)
+        for (int64_t j = i & ~(int64_t)(TOGETHER - 1); j < stride; j += TOGETHER) {
+            __m256d total[4][2];
+            for (int r = 0; r < 4; r++) total[r][0] = total[r][1] = _mm256_setzero_pd();
+            for (int64_t k = 0; k < n; k++) {
+                const double *a = rows + k * stride + i, *b = rows + k * stride + j;
+                const __m256d left = _mm256_loadu_pd(b), right = _mm256_loadu_pd(b + 4);
+                for (int r = 0; r < 4; r++) {
+                    const __m256d by = _mm256_broadcast_sd(a + r);
+                    total[r][0] = _mm256_fmadd_pd(by, left, total[r][0]);
+                    total[r][1] = _mm256_fmadd_pd(by, right, total[r][1]);
+                }
+            }
+            for (int r = 0; r < 4; r++) {
+                double *to = sums + (i + r) * stride + j;
+                _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), total[r][0]));
+                _mm256_storeu_pd(to + 4, _mm256_add_pd(_mm256_loadu_pd(to + 4), total[r][1]));
+            }
+        }
+}
+#endif
+
+static void add_gram(int64_t n, int64_t w, int64_t stride, const double *rows, double *sums) {
+#if defined(__GNUC__) && defined(__x86_64__)
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
+        add_gram_wide(n, w, stride, rows, sums);
+        return;
+    }
+#endif
+    add_gram_plain(n, w, stride, rows, sums);
 }
 
 /* rotation vectors, as geometry/rotation_vector.py has them */
@@ -391,173 +452,412 @@ static void move(const double *controls, int64_t scalars, int64_t order, const d
         for (int j = 0; j < 3; j++) at->A[3 * i + j] += at->omega[i] * at->omega[j] - (i == j ? squared : 0.0);
 }
 
-/* Rows (n, height, width) of readings, whitened; `chi2` grows by the squares of the residuals of both triads.
+/* Readings of an IMU on a trajectory.
 
    bases (4, order, order) polynomials, by powers of u, of the basis functions and three derivatives by time
    controls (., scalars), the biases of this IMU from column `bias_at` on, those of a span's knots `offset` further
-   read and weight: (n, 3) and (n,) of the gyroscope, then of the accelerometer; null where there is none */
-EXPORT void gnomon_inertial_rows(int64_t n, int64_t order, int64_t width, const int64_t *first, const double *u,
-                                 const int64_t *segment, const double *references, const double *bases,
-                                 const double *controls, int64_t scalars, int64_t bias_at, int64_t offset,
-                                 double spacing, const Imu *imu, const Blocks *blocks, const double *read_g,
-                                 const double *weight_g, const double *read_a, const double *weight_a, double *rows,
-                                 double *chi2) {
-    const int64_t height = (read_g ? 3 : 0) + (read_a ? 3 : 0);
-    memset(rows, 0, (size_t)(n * height * width) * sizeof(double));
-    for (int64_t k = 0; k < n; k++) {
-        double basis[4 * ORDER], bias[6], residual[3], *row = rows + k * height * width;
-        Moment at;
-        for (int64_t d = 0; d < 4; d++)
-            for (int64_t a = 0; a < order; a++) {
-                double total = 0.0;
-                for (int64_t power = order - 1; power >= 0; power--)
-                    total = total * u[k] + bases[(d * order + power) * order + a];
-                basis[d * order + a] = total;
-            }
-        move(controls + first[k] * scalars, scalars, order, basis, references + 9 * segment[k], imu, &at);
-        const double *knot = controls + (first[k] + offset) * scalars + bias_at;
-        for (int i = 0; i < 6; i++) {
-            bias[i] = knot[i] * (1 - u[k]) + knot[scalars + i] * u[k];
-            at.bias_rate[i] = (knot[scalars + i] - knot[i]) / spacing;
+   read and weight: (n, 3) and (n,) of the gyroscope, then of the accelerometer; null where there is none
+   sign (n, height) of the probes behind the residual, or null */
+typedef struct {
+    int64_t order;
+    const int64_t *first;
+    const double *u;
+    const int64_t *segment;
+    const double *references, *bases, *controls;
+    int64_t scalars, bias_at, offset;
+    double spacing;
+    const Imu *imu;
+    const Blocks *blocks;
+    const double *read_g, *weight_g, *read_a, *weight_a, *sign;
+} Readings;
+
+/* The whitened rows (height, stride) of a reading, zero so far; returns the height, `chi2` grows by the squares of the
+   residuals of both triads. */
+static int64_t fill_rows(const Readings *of, int64_t k, int64_t stride, double *rows, double *chi2) {
+    const int64_t order = of->order, height = (of->read_g ? 3 : 0) + (of->read_a ? 3 : 0);
+    double basis[4 * ORDER], bias[6], residual[3], *row = rows;
+    const double u = of->u[k];
+    Moment at;
+    for (int64_t d = 0; d < 4; d++)
+        for (int64_t a = 0; a < order; a++) {
+            double total = 0.0;
+            for (int64_t power = order - 1; power >= 0; power--)
+                total = total * u + of->bases[(d * order + power) * order + a];
+            basis[d * order + a] = total;
         }
-        if (read_g) {
-            put_gyroscope(row, width, order, basis, u[k], imu, blocks, &at, bias, read_g + 3 * k, weight_g[k], residual);
-            chi2[0] += dot(residual, residual) * weight_g[k] * weight_g[k];
-            row += 3 * width;
-        }
-        if (read_a) {
-            put_accelerometer(row, width, order, basis, u[k], imu, blocks, &at, bias + 3, read_a + 3 * k, weight_a[k],
-                              residual);
-            chi2[1] += dot(residual, residual) * weight_a[k] * weight_a[k];
-        }
+    move(of->controls + of->first[k] * of->scalars, of->scalars, order, basis, of->references + 9 * of->segment[k], of->imu, &at);
+    const double *knot = of->controls + (of->first[k] + of->offset) * of->scalars + of->bias_at;
+    for (int i = 0; i < 6; i++) {
+        bias[i] = knot[i] * (1 - u) + knot[of->scalars + i] * u;
+        at.bias_rate[i] = (knot[of->scalars + i] - knot[i]) / of->spacing;
     }
+    for (int kind = 0; kind < 2; kind++) {
+        const double *read = kind ? of->read_a : of->read_g, *weights = kind ? of->weight_a : of->weight_g;
+        if (!read) continue;
+        (kind ? put_accelerometer : put_gyroscope)(row, stride, order, basis, u, of->imu, of->blocks, &at, bias + 3 * kind,
+                                                   read + 3 * k, weights[k], residual);
+        chi2[kind] += dot(residual, residual) * weights[k] * weights[k];
+        for (int i = 0; of->sign && i < 3; i++)
+            row[i * stride + of->blocks->side + 1 + kind] = of->sign[height * k + (row - rows) / stride + i] * (weights[k] > 0);
+        row += 3 * stride;
+    }
+    return height;
+}
+
+/* Rows (n, height, width) of readings. */
+EXPORT void gnomon_inertial_rows(int64_t n, const Readings *readings, int64_t width, double *rows, double *chi2) {
+    const int64_t height = (readings->read_g ? 3 : 0) + (readings->read_a ? 3 : 0);
+    memset(rows, 0, (size_t)(n * height * width) * sizeof(double));
+    for (int64_t k = 0; k < n; k++) rows += width * fill_rows(readings, k, width, rows, chi2);
 }
 
 /* normal equations */
 
-/* Adds the products (s, b, w) of the rows of some spans, b columns of pose and biases by all, to band and tail, as
-   `_add_spans` of the assembly does.
+/* Where the normal equations are; see `_add_spans` of the assembly.
 
    band: (n, 6, order, 6) of pose by pose, pose by bias, bias by pose, bias by bias; the last three null without biases
    tail (n, scalars, length), `bias_at` the first scalar of the biases, columns (w - b) where in it the last ones belong
-   spans (s) first control point of each, offset of a span's bias knots from it */
-CLONES EXPORT void gnomon_add_spans(int64_t s, int64_t order, int64_t w, const double *sums, const int64_t *spans,
-                                    int64_t offset, double *pose_pose, double *pose_bias, double *bias_pose,
-                                    double *bias_bias, double *tail, int64_t scalars, int64_t length, int64_t bias_at,
-                                    const int64_t *columns) {
-    const int64_t pose = 6 * order, b = pose + (pose_bias ? 12 : 0), block = 36 * order, line = 6 * order;
-    for (int64_t k = 0; k < s; k++) {
-        const double *product = sums + k * b * w;
-        for (int64_t row = 0; row < b; row++) {
-            const double *values = product + row * w;
-            const int64_t which = row / 6, i = row % 6, knot = which - order;
-            const int64_t control = spans[k] + (row < pose ? which : offset + knot);
-            double *end = tail + (control * scalars + (row < pose ? i : bias_at + i)) * length;
-            for (int64_t j = b; j < w; j++) end[columns[j - b]] += values[j];
-            if (row < pose) {
-                double *own = pose_pose + control * block + i * line;
-                for (int64_t j = 6 * which; j < pose; j++) own[j - 6 * which] += values[j];
-                for (int64_t other = 0; pose_bias && other < 2; other++) {
-                    const double *found = values + pose + 6 * other;
-                    const int64_t apart = offset + other - which;
-                    if (apart >= 0) {
-                        double *to = pose_bias + control * block + i * line + 6 * apart;
-                        for (int j = 0; j < 6; j++) to[j] += found[j];
-                    } else {
-                        double *to = bias_pose + (spans[k] + offset + other) * block - 6 * apart + i;
-                        for (int j = 0; j < 6; j++) to[j * line] += found[j];
-                    }
-                }
-            } else {
-                double *own = bias_bias + control * block + i * line;
-                for (int64_t j = pose + 6 * knot; j < b; j++) own[j - pose - 6 * knot] += values[j];
+   offset of a span's bias knots from its first control point */
+typedef struct {
+    int64_t order, offset, scalars, length, bias_at;
+    double *pose_pose, *pose_bias, *bias_pose, *bias_bias, *tail;
+    const int64_t *columns;
+} Band;
+
+/* Adds the products (b, stride) of the rows of a span, b of w columns of pose and biases, of which only those right of
+   the diagonal mean something. */
+INLINE void add_span(const Band *to, int64_t w, int64_t stride, const double *product, int64_t first) {
+    const int64_t order = to->order, pose = 6 * order, b = pose + (to->pose_bias ? 12 : 0), block = 36 * order;
+    for (int64_t row = 0; row < b; row++) {
+        const double *values = product + row * stride, *above = product + row;
+        const int64_t which = row / 6, i = row % 6, knot = which - order;
+        const int64_t control = first + (row < pose ? which : to->offset + knot);
+        double *end = to->tail + (control * to->scalars + (row < pose ? i : to->bias_at + i)) * to->length;
+        for (int64_t j = b; j < w; j++) end[to->columns[j - b]] += values[j];
+        const int64_t start = 6 * which, last = row < pose ? pose : b;
+        double *own = (row < pose ? to->pose_pose : to->bias_bias) + control * block + i * pose;
+        for (int64_t j = start; j < row; j++) own[j - start] += above[j * stride];
+        for (int64_t j = row; j < last; j++) own[j - start] += values[j];
+        for (int64_t other = 0; row < pose && to->pose_bias && other < 2; other++) {
+            const double *found = values + pose + 6 * other;
+            const int64_t apart = to->offset + other - which;
+            if (apart >= 0) {
+                double *at = to->pose_bias + control * block + i * pose + 6 * apart;
+                for (int j = 0; j < 6; j++) at[j] += found[j];
+            } else { /* the bias stands at the earlier control point: it has the row */
+                double *at = to->bias_pose + (first + to->offset + other) * block - 6 * apart + i;
+                for (int j = 0; j < 6; j++) at[j * pose] += found[j];
             }
         }
     }
 }
 
-/* corners */
-
-/* What the columns of one corner add to the upper triangle of its exposure's sums, in rows of `stride`, of fours. */
-static inline void add_products(int64_t w, int64_t stride, const double *x, const double *y, double *sums) {
-    for (int64_t i = 0; i < w; i++)
-        for (int64_t j = i & ~(int64_t)3; j < stride; j++) sums[i * stride + j] += x[i] * x[j] + y[i] * y[j];
+/* Adds the products (s, b, w) of the rows of some spans. */
+CLONES EXPORT void gnomon_add_spans(int64_t s, int64_t w, const double *sums, const int64_t *spans, const Band *to) {
+    const int64_t b = 6 * to->order + (to->pose_bias ? 12 : 0);
+    for (int64_t k = 0; k < s; k++) add_span(to, w, w, sums + k * b * w, spans[k]);
 }
 
-/* Sums over the corners of exposures, as `corner_sums` makes them.
+#define LINES 24 /* rows whose products are summed up at once */
+#define INERTIAL 168 /* columns of a reading, at most */
 
-   start (e + 1), counted from the first corner given; of corners: apart (m, 2) predicted minus detected, valid (m),
-   by_point (m, 2, 3), by_parameters (m, 2, parameters), own (p) which of these; point, turned (3, m) in the camera's
-   frame, with and without its origin, the latter over the scale; null where there is no column for it
-   spread (m), sign (m, 2), R (e, 3, 3), number (m): null where not wanted
-   out: sums (e, w, w), or (e, 2, w) where `single`; cost, square, count (e); each, weight (m); with `number` also
-   by_twist (m, 6, 3), rest (w - 6, points, 3), squares (points, 3, 3), of corners that are counted */
-CLONES EXPORT void gnomon_corner_sums(int64_t e, int64_t m, const int64_t *start, const double *apart,
-                                      const uint8_t *valid, const double *by_point, const double *by_parameters,
-                                      int64_t parameters, const int64_t *own, int64_t p, const double *point,
-                                      const double *turned, double scale, const double *spread, const double *sign,
-                                      double sigma, double huber, int64_t single, double *sums, double *cost,
-                                      double *square, int64_t *count, double *each, double *weight, const double *R,
-                                      const int64_t *number, const uint8_t *counted, int64_t points, double *by_twist,
-                                      double *rest, double *squares) {
-    const int64_t w = 6 + p + (turned ? 1 : 0) + 1 + (sign ? 1 : 0);
-    const int64_t stride = (w + 3) & ~(int64_t)3;
-    double columns[2][WIDTH] = {{0}}, upper[WIDTH * WIDTH];
-    for (int64_t k = 0; k < e; k++) {
-        double *gram = sums + k * (single ? 2 : w) * w, total = 0.0, squared = 0.0;
-        int64_t seen = 0;
-        memset(single ? gram : upper, 0, (size_t)(single ? 2 * w : w * stride) * sizeof(double));
-        for (int64_t c = start[k]; c < start[k + 1]; c++) {
-            each[c] = weight[c] = 0.0;
-            if (number) memset(by_twist + 18 * c, 0, 18 * sizeof(double));
-            if (!valid[c]) continue;
-            const double sigma_px = spread ? sigma * spread[c] : sigma;
-            const double off[2] = {apart[2 * c], apart[2 * c + 1]};
-            const double length = off[0] * off[0] + off[1] * off[1], distance = sqrt(length) / sigma_px;
-            const double robust = distance > huber ? huber / distance : 1.0, root = sqrt(robust) / sigma_px;
-            each[c] = robust < 1 ? huber * (distance - 0.5 * huber) : 0.5 * distance * distance;
-            weight[c] = robust;
-            total += each[c], squared += length, seen++;
-            const double x = point[c], y = point[m + c], z = point[2 * m + c];
-            for (int i = 0; i < 2; i++) {
-                const double *G = by_point + 6 * c + 3 * i;
-                double *column = columns[i];
-                column[0] = root * (G[2] * y - G[1] * z);
-                column[1] = root * (G[0] * z - G[2] * x);
-                column[2] = root * (G[1] * x - G[0] * y);
-                for (int j = 0; j < 3; j++) column[3 + j] = root * G[j];
-                for (int64_t j = 0; j < p; j++) column[6 + j] = root * by_parameters[(2 * c + i) * parameters + own[j]];
-                int64_t next = 6 + p;
-                if (turned)
-                    column[next++] = root * (G[0] * turned[c] + G[1] * turned[m + c] + G[2] * turned[2 * m + c]) / scale;
-                column[next++] = root * off[i];
-                if (sign) column[next] = root * sign[2 * c + i] * sigma_px;
-            }
-            if (single)
-                memcpy(gram, columns[0], (size_t)w * sizeof(double)),
-                    memcpy(gram + w, columns[1], (size_t)w * sizeof(double));
-            else
-                add_products(w, stride, columns[0], columns[1], upper);
-            if (number && counted[c]) {
-                const int64_t at = number[c];
-                double own_columns[2][3];
-                for (int i = 0; i < 2; i++)
-                    for (int j = 0; j < 3; j++) {
-                        const double *G = by_point + 6 * c + 3 * i, *turn = R + 9 * k + j;
-                        own_columns[i][j] = root * scale * (G[0] * turn[0] + G[1] * turn[3] + G[2] * turn[6]);
-                    }
-                for (int j = 0; j < 3; j++) {
-                    const double a = own_columns[0][j], b = own_columns[1][j];
-                    for (int i = 0; i < 6; i++) by_twist[18 * c + 3 * i + j] = columns[0][i] * a + columns[1][i] * b;
-                    for (int64_t i = 6; i < w; i++)
-                        rest[((i - 6) * points + at) * 3 + j] += columns[0][i] * a + columns[1][i] * b;
-                    for (int i = 0; i < 3; i++)
-                        squares[9 * at + 3 * i + j] += own_columns[0][i] * a + own_columns[1][i] * b;
+/* Adds the products of the rows of readings (n) of w columns; those of the columns behind pose and biases with each
+   other to `corner` (w - b, w - b). */
+CLONES EXPORT void gnomon_inertial_sums(int64_t n, const Readings *readings, int64_t w, const Band *to, double *corner,
+                                        double *chi2) {
+    const int64_t stride = padded_width(w), b = 6 * to->order + 12, rest = w - b;
+    double rows[LINES * INERTIAL], sums[INERTIAL * INERTIAL];
+    for (int64_t k = 0; k < n;) {
+        const int64_t first = readings->first[k];
+        memset(sums, 0, (size_t)(stride * stride) * sizeof(double));
+        while (k < n && readings->first[k] == first) {
+            int64_t height = 0;
+            memset(rows, 0, (size_t)(LINES * stride) * sizeof(double));
+            for (; k < n && readings->first[k] == first && height + 6 <= LINES; k++)
+                height += fill_rows(readings, k, stride, rows + height * stride, chi2);
+            add_gram(height, w, stride, rows, sums);
+        }
+        add_span(to, w, stride, sums, first);
+        for (int64_t i = 0; i < rest; i++)
+            for (int64_t j = i; j < rest; j++) corner[i * rest + j] += sums[(b + i) * stride + b + j];
+    }
+    for (int64_t i = 0; i < rest; i++)
+        for (int64_t j = 0; j < i; j++) corner[i * rest + j] = corner[j * rest + i];
+}
+
+/* tied equations (solve/tied_band.py) */
+
+/* Which super-blocks (2) have the values that a tied scalar of a control point lies between, and their weights. */
+static inline void tied_weights(int64_t control, int64_t offset, int64_t per_block, int64_t blocks, int64_t *block,
+                                double *weight) {
+    const int64_t since = control < offset ? 0 : control - offset, last = blocks - 1, k = since / per_block;
+    block[0] = k < last ? k : last, block[1] = k < last ? k + 1 : last;
+    weight[1] = (double)(since % per_block) / (double)per_block, weight[0] = 1 - weight[1];
+}
+
+/* Adds products of scalars from r on of super-block a (rows) with those from c on of b, which is the same or beside it. */
+INLINE void add_block(double *lower, double *chain, int64_t s, int64_t t, int64_t a, int64_t r, int64_t b, int64_t c,
+                      int64_t rows, int64_t columns, double by, const double *values, int64_t down, int64_t along) {
+    double *to = a == b ? lower + (a * s + r) * s + c : a < b ? chain + (a * (s + t) + c) * s + r : chain + (b * (s + t) + r) * s + c;
+    const int64_t by_row = a < b ? 1 : s, by_column = a < b ? s : 1;
+    for (int64_t i = 0; i < rows; i++)
+        for (int64_t k = 0; k < columns; k++) to[i * by_row + k * by_column] += by * values[i * down + k * along];
+}
+
+/* Writes T' N T to the super-blocks on the diagonal (b, s, s), right of it, and those after them and T' tail, transposed
+   (b, s + t, s); both zero so far.
+
+   band: (groups, groups) of pointers to (n, size, order, size); tail (n, d, t) */
+EXPORT void gnomon_gather_tied(int64_t n, int64_t per_block, int64_t order, int64_t offset, int64_t groups,
+                               const int64_t *sizes, const double *const *band, const double *tail, int64_t t,
+                               double *lower, double *chain) {
+    const int64_t d = sizes[0], own = per_block * d, blocks = (n + per_block - 1) / per_block;
+    int64_t s = own, all = d;
+    for (int64_t g = 1; g < groups; g++) s += sizes[g], all += sizes[g];
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t block = i / per_block, row = i % per_block * d;
+        double *beside = chain + (block * (s + t) + s) * s;
+        for (int64_t r = 0; r < d; r++)
+            for (int64_t k = 0; k < t; k++) beside[k * s + row + r] = tail[(i * all + r) * t + k];
+        for (int64_t j = 0; j < order && i + j < n; j++)
+            add_block(lower, chain, s, t, block, row, (i + j) / per_block, (i + j) % per_block * d, d, d, 1.0,
+                      band[0] + i * d * order * d + j * d, order * d, 1);
+        int64_t at = own, first = d, near[2], then[2];
+        double weight[2], after[2];
+        tied_weights(i, offset, per_block, blocks, near, weight);
+        for (int64_t g = 1; g < groups; at += sizes[g], first += sizes[g], g++) {
+            const int64_t size = sizes[g];
+            for (int h = 0; h < 2; h++)
+                for (int64_t r = 0; weight[h] != 0.0 && r < size; r++)
+                    for (int64_t k = 0; k < t; k++)
+                        chain[(near[h] * (s + t) + s + k) * s + at + r] += weight[h] * tail[(i * all + first + r) * t + k];
+            for (int64_t j = 0; j < order && i + j < n; j++) {
+                const int64_t to = (i + j) / per_block, column = (i + j) % per_block * d;
+                const double *later = band[g] + i * d * order * size + j * size;
+                const double *earlier = band[g * groups] + i * size * order * d + j * d;
+                const double *same = band[g * groups + g] + i * size * order * size + j * size;
+                tied_weights(i + j, offset, per_block, blocks, then, after);
+                for (int h = 0; h < 2; h++) {
+                    if (after[h] != 0.0 && llabs(then[h] - block) < 2)
+                        add_block(lower, chain, s, t, block, row, then[h], at, d, size, after[h], later, order * size, 1);
+                    if (weight[h] != 0.0 && llabs(near[h] - to) < 2)
+                        add_block(lower, chain, s, t, to, column, near[h], at, d, size, weight[h], earlier, 1, order * d);
+                }
+                for (int h = 0; j < 2 && h < 4; h++) { /* of a control point with itself both triangles are there */
+                    const int64_t a = near[h / 2], b = then[h % 2];
+                    const double by = weight[h / 2] * after[h % 2];
+                    if (by == 0.0 || (!j && a > b)) continue;
+                    add_block(lower, chain, s, t, a, at, b, at, size, size, by, same, order * size, 1);
+                    if (j && a == b) add_block(lower, chain, s, t, a, at, b, at, size, size, by, same, 1, order * size);
                 }
             }
         }
+    }
+    for (int64_t row = n * d - (blocks - 1) * own; row < own; row++) lower[((blocks - 1) * s + row) * s + row] = 1.0;
+}
+
+/* corners */
+
+/* A lens, fields of doubles in this order; models by their place in the lists of models/lens_names.py. */
+typedef struct {
+    double projection, distortion, limit, shape[2], fu, fv, pu, pv, coeffs[5];
+} Lens;
+
+enum { PINHOLE, OMNI, EUCM, DS };
+enum { NONE, RADTAN, RADTAN5, EQUIDISTANT, FOV };
+
+#define NEAREST 1e-100
+#define FARTHEST 1e100
+#define PARAMETERS 11 /* of a lens, at most */
+
+/* A point in the plane behind the projection or distortion, and its derivatives; see models/distortions.py. */
+typedef struct {
+    double x, y, xx, xy, yy, by_coeffs[5][2];
+} Bent;
+
+/* A = atan(r) / r and dA/ds, of s = r^2 */
+INLINE void arctan_over_x(double s, double *ratio, double *slope) {
+    if (s < 0.01) {
+        double a = 0.0, b = 0.0;
+        for (int n = 9; n >= 0; n--) b = b * s + a, a = a * s + (n % 2 ? -1.0 : 1.0) / (2 * n + 1);
+        *ratio = a, *slope = b;
+    } else {
+        const double r = sqrt(s);
+        *ratio = atan(r) / r;
+        *slope = (1 / (1 + s) - *ratio) / (2 * s);
+    }
+}
+
+/* 1 + tan(h)^2 - tan(h) / h */
+static double fov_excess(double half) {
+    const double t = half * half, tangent = tan(half);
+    const double ratio =
+        half < 0.1 ? t * (1. / 3 + t * (2. / 15 + t * (17. / 315 + t * (62. / 2835 + t * (1382. / 155925 + t * 21844. / 6081075)))))
+                   : tangent / half - 1;
+    return tangent * tangent - ratio;
+}
+
+INLINE void bend(const Lens *lens, double mx, double my, double s, Bent *at) {
+    const double *k = lens->coeffs;
+    double c = 1.0, twice_slope = 0.0;
+    if (lens->distortion == RADTAN || lens->distortion == RADTAN5) {
+        const double k3 = lens->distortion == RADTAN5 ? k[4] : 0.0, p1 = k[2], p2 = k[3];
+        const double across = 2 * mx * my, square_x = s + 2 * mx * mx, square_y = s + 2 * my * my;
+        const double px = 2 * p2 * mx, py = 2 * p1 * my;
+        c = 1 + s * (k[0] + s * (k[1] + s * k3)), twice_slope = 2 * k[0] + s * (4 * k[1] + s * 6 * k3);
+        at->x = mx * c + p1 * across + p2 * square_x, at->y = my * c + p2 * across + p1 * square_y;
+        at->xx = c + twice_slope * mx * mx + (3 * px + py), at->yy = c + twice_slope * my * my + (3 * py + px);
+        at->xy = twice_slope * mx * my + 2 * p1 * mx + 2 * p2 * my;
+        const double by[5][2] = {{s * mx, s * my}, {s * s * mx, s * s * my}, {across, square_y}, {square_x, across}, {s * s * s * mx, s * s * s * my}};
+        memcpy(at->by_coeffs, by, sizeof by);
+        return;
+    }
+    if (lens->distortion == EQUIDISTANT) {
+        double a, slope;
+        arctan_over_x(s, &a, &slope);
+        const double t = s * a * a, polynomial = 1 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])));
+        const double by_t = k[0] + t * (2 * k[1] + t * (3 * k[2] + t * 4 * k[3]));
+        c = a * polynomial, twice_slope = 2 * (slope * polynomial + a * a * by_t / (1 + s));
+        for (int i = 0; i < 4; i++) a *= t, at->by_coeffs[i][0] = mx * a, at->by_coeffs[i][1] = my * a;
+    } else if (lens->distortion == FOV) {
+        const double w = k[0], factor = 2 * tan(w / 2), square = factor * factor, tau = square * s;
+        double a, slope;
+        arctan_over_x(tau, &a, &slope);
+        const double widening = 1 + 0.25 * square, rest = 2 * slope + 1 / (1 + tau);
+        const double by_w = (fov_excess(w / 2) + tau * (factor / w * rest - widening / (1 + tau))) / w;
+        c = factor / w * a, twice_slope = 2 * factor * square / w * slope;
+        at->by_coeffs[0][0] = mx * by_w, at->by_coeffs[0][1] = my * by_w;
+    }
+    at->x = c * mx, at->y = c * my;
+    at->xx = c + twice_slope * mx * mx, at->xy = twice_slope * mx * my, at->yy = c + twice_slope * my * my;
+}
+
+/* length - z of length^2 = square + z^2 */
+static inline double excess(double length, double z, double square) {
+    const double size = fabs(z);
+    return square / (length + size) + (size - z);
+}
+
+static inline double reach(double alpha) { return alpha <= 0.5 ? alpha / (1 - alpha) : (1 - alpha) / alpha; }
+
+/* Whether a point is imaged; where: pixel (2), its derivatives by the point (2, 3) and by the lens (2, PARAMETERS);
+   see models/camera.py and models/projections.py. */
+INLINE int project(const Lens *lens, const double *point, double *pixel, double by_point[2][3],
+                   double by_lens[2][PARAMETERS]) {
+    const double x = point[0], y = point[1], z = point[2], square = x * x + y * y;
+    double value = z, by_radius = 0.0, by_z = 1.0, by_shape[2] = {0};
+    int shapes = 2, inside = z > 0;
+    if (lens->projection == OMNI) {
+        const double xi = lens->shape[0], rho = sqrt(square + z * z), slope = xi / rho;
+        value = xi * rho + z, inside = z > -(xi <= 1 ? xi : 1 / xi) * rho;
+        by_radius = slope, by_z = 1 + slope * z, by_shape[0] = rho, shapes = 1;
+    } else if (lens->projection == EUCM) {
+        const double alpha = lens->shape[0], beta = lens->shape[1], d = sqrt(beta * square + z * z), slope = alpha / d;
+        value = alpha * d + (1 - alpha) * z, inside = z > -reach(alpha) * d;
+        by_radius = slope * beta, by_z = slope * z + (1 - alpha);
+        by_shape[0] = excess(d, z, beta * square), by_shape[1] = 0.5 * slope * square;
+    } else if (lens->projection == DS) {
+        const double xi = lens->shape[0], alpha = lens->shape[1], d_1 = sqrt(square + z * z), z_2 = xi * d_1 + z;
+        const double d_2 = sqrt(square + z_2 * z_2), slope = xi / d_1, by_z_2 = alpha * z_2 / d_2 + (1 - alpha);
+        const double w = reach(alpha), rest = 1 - w * w, least = -xi * rest - w * sqrt(1 - xi * xi * rest);
+        value = alpha * d_2 + (1 - alpha) * z_2, inside = z > least * d_1;
+        by_radius = alpha / d_2 + by_z_2 * slope, by_z = by_z_2 * (1 + slope * z);
+        by_shape[0] = by_z_2 * d_1, by_shape[1] = excess(d_2, z_2, square);
+    } else {
+        shapes = 0;
+    }
+    const double inverse = 1 / value, mx = x * inverse, my = y * inverse, s = mx * mx + my * my;
+    if (!(inside && value > NEAREST && value < FARTHEST && s < lens->limit * lens->limit)) return 0;
+    Bent at = {0};
+    bend(lens, mx, my, s, &at);
+    const double focal[2] = {lens->fu, lens->fv}, bent[2] = {at.x, at.y};
+    pixel[0] = lens->fu * at.x + lens->pu, pixel[1] = lens->fv * at.y + lens->pv;
+    for (int i = 0; i < 2; i++) {
+        const double by_x = focal[i] * (i ? at.xy : at.xx) * inverse, by_y = focal[i] * (i ? at.yy : at.xy) * inverse;
+        const double shrink = by_x * mx + by_y * my, towards_axis = shrink * by_radius;
+        by_point[i][0] = by_x - towards_axis * x, by_point[i][1] = by_y - towards_axis * y;
+        by_point[i][2] = -shrink * by_z;
+        double *to = by_lens[i];
+        for (int j = 0; j < shapes; j++) to[j] = -shrink * by_shape[j];
+        to += shapes;
+        to[i] = bent[i], to[1 - i] = 0.0, to[2 + i] = 1.0, to[3 - i] = 0.0;
+        for (int j = 0; j < 5; j++) to[4 + j] = focal[i] * at.by_coeffs[j][i];
+    }
+    return 1;
+}
+
+#define CORNERS 16 /* whose products are summed up at once */
+
+/* Sums over the corners of exposures, as `corner_sums` makes them.
+
+   start (e + 1), counted from the first corner given; R, p (e, 3, 3), (e, 3) pose of the target in the camera's frame;
+   of corners: points (m, 3) on the target, pixels (m, 2) detected; own (q) parameters of the lens that have columns;
+   scale of the target, which has a column if `by_scale`; shape (b, m, 3) where corners move with parameters that have one
+   spread (m), sign (m, 2), number (m): null where not wanted
+   out: sums (e, w, w), or (e, 2, w) where `single`; cost, square, count (e); each, weight (m), residual (m, 2); with
+   `number` also by_twist (m, 6, 3), rest (w - 6, places, 3), squares (places, 3, 3), of corners that are counted */
+EXPORT void gnomon_corner_sums(int64_t e, int64_t m, const int64_t *start, const double *R, const double *p,
+                               const double *points, const double *pixels, const Lens *lens, const int64_t *own,
+                               int64_t q, double scale, int64_t by_scale, const double *shape, int64_t bends,
+                               const double *spread, const double *sign, double sigma, double huber, int64_t single,
+                               double *sums, double *cost, double *square, int64_t *count, double *each, double *weight,
+                               double *residual, const int64_t *number, const uint8_t *counted, int64_t places,
+                               double *by_twist, double *rest, double *squares) {
+    const int64_t w = 6 + q + by_scale + bends + 1 + (sign ? 1 : 0), stride = padded_width(w);
+    double rows[2 * CORNERS * WIDTH], upper[WIDTH * WIDTH];
+    memset(rows, 0, sizeof rows);
+    for (int64_t k = 0; k < e; k++, R += 9, p += 3) {
+        double total = 0.0, squared = 0.0;
+        int64_t seen = 0, kept = 0;
+        if (single) memset(sums + 2 * k * w, 0, (size_t)(2 * w) * sizeof(double));
+        memset(upper, 0, (size_t)(stride * stride) * sizeof(double));
+        for (int64_t c = start[k]; c < start[k + 1]; c++) {
+            double turned[3], at[3], pixel[2], G[2][3], by_lens[2][PARAMETERS], by_offset[2][3];
+            each[c] = weight[c] = 0.0, residual[2 * c] = residual[2 * c + 1] = NAN;
+            if (number) memset(by_twist + 18 * c, 0, 18 * sizeof(double));
+            apply(R, points + 3 * c, turned);
+            for (int i = 0; i < 3; i++) at[i] = scale * turned[i] + p[i];
+            if (!project(lens, at, pixel, G, by_lens)) continue;
+            const double sigma_px = spread ? sigma * spread[c] : sigma;
+            const double off[2] = {pixel[0] - pixels[2 * c], pixel[1] - pixels[2 * c + 1]};
+            const double length = off[0] * off[0] + off[1] * off[1], distance = sqrt(length) / sigma_px;
+            const double robust = distance > huber ? huber / distance : 1.0, root = sqrt(robust) / sigma_px;
+            each[c] = robust < 1 ? huber * (distance - 0.5 * huber) : 0.5 * distance * distance;
+            weight[c] = robust, residual[2 * c] = off[0], residual[2 * c + 1] = off[1];
+            total += each[c], squared += length, seen++;
+            double *columns[2] = {rows + 2 * kept * stride, rows + (2 * kept + 1) * stride};
+            for (int i = 0; i < 2; i++) {
+                double *column = columns[i];
+                for (int j = 0; j < 3; j++) G[i][j] *= root, column[3 + j] = G[i][j];
+                column[0] = G[i][2] * at[1] - G[i][1] * at[2];
+                column[1] = G[i][0] * at[2] - G[i][2] * at[0];
+                column[2] = G[i][1] * at[0] - G[i][0] * at[1];
+                for (int64_t j = 0; j < q; j++) column[6 + j] = root * by_lens[i][own[j]];
+                int64_t next = 6 + q;
+                if (by_scale) column[next++] = dot(G[i], turned);
+                for (int j = 0; j < 3; j++)
+                    by_offset[i][j] = scale * (G[i][0] * R[j] + G[i][1] * R[3 + j] + G[i][2] * R[6 + j]);
+                for (int64_t b = 0; b < bends; b++) column[next++] = dot(by_offset[i], shape + 3 * (b * m + c));
+                column[next++] = root * off[i];
+                if (sign) column[next] = root * sign[2 * c + i] * sigma_px;
+            }
+            if (number && counted[c]) {
+                const int64_t place = number[c];
+                for (int j = 0; j < 3; j++) {
+                    const double a = by_offset[0][j], b = by_offset[1][j];
+                    for (int i = 0; i < 6; i++) by_twist[18 * c + 3 * i + j] = columns[0][i] * a + columns[1][i] * b;
+                    for (int64_t i = 6; i < w; i++)
+                        rest[((i - 6) * places + place) * 3 + j] += columns[0][i] * a + columns[1][i] * b;
+                    for (int i = 0; i < 3; i++)
+                        squares[9 * place + 3 * i + j] += by_offset[0][i] * a + by_offset[1][i] * b;
+                }
+            }
+            for (int i = 0; single && i < 2; i++) memcpy(sums + (2 * k + i) * w, columns[i], (size_t)w * sizeof(double));
+            if (!single && ++kept == CORNERS) add_gram(2 * kept, w, stride, rows, upper), kept = 0;
+        }
+        if (kept) add_gram(2 * kept, w, stride, rows, upper);
         for (int64_t i = 0; !single && i < w; i++)
-            for (int64_t j = i; j < w; j++) gram[i * w + j] = gram[j * w + i] = upper[i * stride + j];
+            for (int64_t j = i; j < w; j++) sums[(k * w + i) * w + j] = sums[(k * w + j) * w + i] = upper[i * stride + j];
         cost[k] = total, count[k] = seen;
         square[k] = seen ? squared / (2.0 * (double)seen) : NAN;
     }

@@ -18,6 +18,8 @@ MOST_PIXELS = 512
 """Of the window of a corner (PIXELS in kernel.c)."""
 MOST_COLUMNS = 64
 """Of a corner (WIDTH in kernel.c)."""
+MOST_INERTIAL = 168
+"""Of a reading (INERTIAL in kernel.c)."""
 
 BLOCKS = (
     *("S_g", "M_g", "q_bg", "B_g", "S_a", "M_a", "lever_arms", "T_imu_body.rotation", "T_imu_body.translation"),
@@ -49,124 +51,190 @@ def _long(value: int) -> ctypes.c_int64:
     return ctypes.c_int64(value)
 
 
-def inertial_rows(
-    *,
-    first: Integers,
-    u: Floats,
-    segment: Integers,
-    references: Floats,
-    bases: Floats,
-    controls: Floats,
-    bias_at: int,
-    bias_offset: int,
-    spacing_s: float,
-    imu: Floats,
-    blocks: Sequence[int],
-    gyroscope: tuple[Floats, Floats] | None,
-    accelerometer: tuple[Floats, Floats] | None,
-    width: int,
-) -> tuple[Floats, Floats]:
-    """Return rows (n, 6 or 3, width) of readings, and the sums of squared residuals (2,); see `InertialTerms`.
+class Readings(ctypes.Structure):
+    """The struct of this name in kernel.c, of arrays that live as long as this."""
 
-    Parameters
-    ----------
-    first, u, segment : (n,) places of the readings on the grid
-    references : (s, 3, 3) of the segments
-    bases : (4, k, k) basis functions and three derivatives by time, by powers of u
-    controls : (c, d), bias_at, bias_offset, spacing_s : of the trajectory; first bias of this IMU, and of a span
-    imu : the fields of Imu in kernel.c, one behind the other
-    blocks : first columns of `BLOCKS` in the rows, or -1
-    gyroscope, accelerometer : readings (n, 3) and weights (n,), or None
-    """
+    _fields_ = (
+        ("order", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("first", "u", "segment", "references", "bases", "controls")),
+        *((name, ctypes.c_int64) for name in ("scalars", "bias_at", "offset")),
+        ("spacing", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("imu", "blocks", "read_g", "weight_g", "read_a", "weight_a", "sign")),
+    )
+
+    def __init__(
+        self,
+        *,
+        places: tuple[Integers, Floats, Integers],
+        references: Floats,
+        bases: Floats,
+        controls: Floats,
+        bias_at: int,
+        bias_offset: int,
+        spacing_s: float,
+        imu: Floats,
+        blocks: Sequence[int],
+        gyroscope: tuple[Floats, Floats] | None,
+        accelerometer: tuple[Floats, Floats] | None,
+        signs: Floats | None,
+    ) -> None:
+        """Take what the rows of readings need; see `InertialTerms`.
+
+        Parameters
+        ----------
+        places : first control point, u and segment (n,) of the readings on the grid
+        references : (s, 3, 3) of the segments
+        bases : (4, k, k) basis functions and three derivatives by time, by powers of u
+        controls : (c, d), bias_at, bias_offset, spacing_s : of the trajectory; first bias of this IMU, and of a span
+        imu : the fields of Imu in kernel.c, one behind the other
+        blocks : first columns of `BLOCKS` in the rows, or -1
+        gyroscope, accelerometer : readings (n, 3) and weights (n,), or None
+        signs : (n, 6 or 3) of the probes
+        """
+        (read_g, weight_g), (read_a, weight_a) = gyroscope or (None, None), accelerometer or (None, None)
+        before = map(_at, (*places, references, bases, controls))
+        behind = map(_at, (imu, np.array(blocks, dtype=np.int64), read_g, weight_g, read_a, weight_a, signs))
+        self._kept = [*before], [*behind]
+        super().__init__(
+            *(bases.shape[1], *self._kept[0], controls.shape[1], bias_at, bias_offset, spacing_s, *self._kept[1])
+        )
+        self.count = len(places[1])
+        self.height = 3 * ((gyroscope is not None) + (accelerometer is not None))
+
+
+class Band(ctypes.Structure):
+    """The struct of this name in kernel.c, of arrays that live as long as this."""
+
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("order", "offset", "scalars", "length", "bias_at")),
+        *((name, ctypes.c_void_p) for name in ("pose_pose", "pose_bias", "bias_pose", "bias_bias", "tail", "columns")),
+    )
+
+    def __init__(
+        self,
+        *,
+        order: int,
+        bias_offset: int,
+        band: Sequence[Floats | None],
+        tail: Floats,
+        bias_at: int,
+        columns: Integers,
+    ) -> None:
+        """Take normal equations to which products of rows are added in place; see the assembly.
+
+        Parameters
+        ----------
+        order : of the splines
+        bias_offset : of a span's first bias knot from it
+        band : pose by pose, pose by bias, bias by pose, bias by bias, (n, 6, k, 6) each; None without biases
+        tail : (n, d, t), bias_at : first scalar of the biases, columns : (w - b,) in the tail
+        """
+        self._kept = [*map(_out, (*band, tail)), _at(columns)]
+        super().__init__(order, bias_offset, tail.shape[1], tail.shape[2], bias_at, *self._kept)
+        self.rest = len(columns)
+
+
+def inertial_rows(readings: Readings, width: int) -> tuple[Floats, Floats]:
+    """Return rows (n, 6 or 3, width) of readings, and the sums of squared residuals (2,)."""
     library = load_kernel()
     assert library is not None
-    height = 3 * ((gyroscope is not None) + (accelerometer is not None))
-    rows, chi2 = np.empty((len(u), height, width)), np.zeros(2)
-    read = (
-        None if triad is None else values for triad in (gyroscope, accelerometer) for values in triad or (None,) * 2
-    )
-    library.gnomon_inertial_rows(
-        *(_long(len(u)), _long(bases.shape[1]), _long(width), _at(first), _at(u), _at(segment), _at(references)),
-        *(_at(bases), _at(controls), _long(controls.shape[1]), _long(bias_at), _long(bias_offset)),
-        *(ctypes.c_double(spacing_s), _at(imu), _at(np.array(blocks, dtype=np.int64)), *map(_at, read)),
-        *(_out(rows), _out(chi2)),
-    )
+    rows, chi2 = np.empty((readings.count, readings.height, width)), np.zeros(2)
+    library.gnomon_inertial_rows(_long(readings.count), ctypes.byref(readings), _long(width), _out(rows), _out(chi2))
     return rows, chi2
+
+
+def add_inertial_sums(readings: Readings, width: int, band: Band) -> tuple[Floats, Floats]:
+    """Add the products of the rows of readings; return those of the last columns, and the sums of squared residuals."""
+    library = load_kernel()
+    assert library is not None
+    last = band.rest
+    products, chi2 = np.zeros((last, last)), np.zeros(2)
+    library.gnomon_inertial_sums(
+        *(_long(readings.count), ctypes.byref(readings), _long(width), ctypes.byref(band)), _out(products), _out(chi2)
+    )
+    return products, chi2
 
 
 def add_corner_sums(
     *,
     start: Integers,
-    apart: Floats,
-    valid: NDArray[np.bool_],
-    by_point: Floats,
-    by_parameters: Floats | None,
+    pose: tuple[Floats, Floats],
+    points: Floats,
+    pixels: Floats,
+    lens: Floats,
     own: Integers,
-    point: Floats,
-    turned: Floats | None,
     scale: float,
+    scale_column: bool,
+    shape: Floats | None,
     spread: Floats | None,
     sign: Floats | None,
     sigma_px: float,
     huber: float,
     sums: Floats,
     of_exposure: tuple[Floats, Floats, Integers],
-    of_corner: tuple[Floats, Floats],
-    offsets: tuple[Floats, Integers, NDArray[np.bool_], Floats, Floats, Floats] | None,
+    of_corner: tuple[Floats, Floats, Floats],
+    offsets: tuple[Integers, NDArray[np.bool_], Floats, Floats, Floats] | None,
 ) -> None:
-    """Sum up the corners of exposures, in place; see `add_corner_sums` of the estimation, and kernel.c.
+    """Sum up the corners of exposures, in place; see `corner_sums` of the estimation, and kernel.c.
 
     Parameters
     ----------
-    start : (e + 1,) first corner of each exposure, counted from the first given
-    apart, valid, by_point, by_parameters, point, turned : of the corners, (m, 2), (m,), (m, 2, 3), (m, 2, p), (3, m)
+    start : (e + 1,) first corner of each exposure
+    pose : R_cam_target (e, 3, 3), p_cam_target (e, 3)
+    points, pixels : of the corners, (m, 3), (m, 2)
+    lens : the fields of Lens in kernel.c
     own : which parameters have columns
-    turned, scale, spread, sign, sigma_px, huber : see there; None where not wanted
+    scale, scale_column, shape, spread, sign, sigma_px, huber : see there; None where not wanted
     sums : (e, w, w) or (e, 2, w)
     of_exposure : cost, mean square, number of valid corners (e,)
-    of_corner : robust cost, robust weight (m,)
-    offsets : R_cam_target (e, 3, 3), number and whether it counts (m,); products with the twist (m, 6, 3), with the
-        other columns (w - 6, k, 3) and with each other (k, 3, 3), to which they are added
+    of_corner : robust cost, robust weight (m,), residual (m, 2)
+    offsets : number and whether it counts (m,); products with the twist (m, 6, 3), with the other columns
+        (w - 6, k, 3) and with each other (k, 3, 3), to which they are added
     """
     library = load_kernel()
     assert library is not None
-    R, number, counted, by_twist, rest, squares = offsets or (None,) * 6
+    number, counted, by_twist, rest, squares = offsets or (None,) * 5
     library.gnomon_corner_sums(
-        *(_long(len(start) - 1), _long(len(apart)), *map(_at, (start, apart, valid, by_point, by_parameters))),
-        *(_long(0 if by_parameters is None else by_parameters.shape[2]), _at(own), _long(len(own)), _at(point)),
-        *(_at(turned), ctypes.c_double(scale), _at(spread), _at(sign), ctypes.c_double(sigma_px)),
+        *(_long(len(start) - 1), _long(len(points)), *map(_at, (start, *pose, points, pixels, lens, own))),
+        *(_long(len(own)), ctypes.c_double(scale), _long(scale_column), _at(shape)),
+        *(_long(0 if shape is None else len(shape)), _at(spread), _at(sign), ctypes.c_double(sigma_px)),
         *(ctypes.c_double(huber), _long(sums.shape[1] != sums.shape[2]), _out(sums)),
-        *(*map(_out, of_exposure), *map(_out, of_corner), *map(_at, (R, number, counted))),
+        *(*map(_out, of_exposure), *map(_out, of_corner), *map(_at, (number, counted))),
         *(_long(0 if squares is None else len(squares)), *map(_out, (by_twist, rest, squares))),
     )
 
 
-def add_spans(
+def add_spans(sums: Floats, spans: Integers, band: Band) -> None:
+    """Add the products (s, b, w) of the rows of spans (s,), their first control points."""
+    library = load_kernel()
+    assert library is not None
+    library.gnomon_add_spans(_long(len(spans)), _long(sums.shape[2]), _at(sums), _at(spans), ctypes.byref(band))
+
+
+def gather_tied(
     *,
-    order: int,
-    sums: Floats,
-    spans: Integers,
-    bias_offset: int,
-    band: Sequence[Floats | None],
+    per_block: int,
+    offset: int,
+    groups: Sequence[int],
+    band: Sequence[Sequence[Floats]],
     tail: Floats,
-    bias_at: int,
-    columns: Integers,
+    lower: Floats,
+    chain: Floats,
 ) -> None:
-    """Add the products of the rows of spans to the normal equations, in place; see the assembly, and kernel.c.
+    """Write tied equations, in place; see `TiedLayout.gather` and kernel.c.
 
     Parameters
     ----------
-    order : of the splines
-    sums : (s, b, w), spans : (s,) first control point of each
-    bias_offset : of a span's first bias knot from it
-    band : pose by pose, pose by bias, bias by pose, bias by bias, (n, 6, k, 6) each; None without biases
-    tail : (n, d, t), bias_at : first scalar of the biases, columns : (w - b,) in the tail
+    per_block, offset, groups, band, lower, chain : see there
+    tail : (n, d, t) what stands beside the band
     """
     library = load_kernel()
     assert library is not None
-    library.gnomon_add_spans(
-        *(_long(len(spans)), _long(order), _long(sums.shape[2]), _at(sums), _at(spans), _long(bias_offset)),
-        *(*map(_out, band), _out(tail), _long(tail.shape[1]), _long(tail.shape[2]), _long(bias_at), _at(columns)),
+    pointers = [_at(part) for row in band for part in row]
+    library.gnomon_gather_tied(
+        *map(_long, (len(tail), per_block, band[0][0].shape[2], offset, len(groups))),
+        *(_at(np.array(groups, dtype=np.int64)), (ctypes.c_void_p * len(pointers))(*(one.value for one in pointers))),
+        *(_at(tail), _long(tail.shape[2]), _out(lower), _out(chain)),
     )
 
 

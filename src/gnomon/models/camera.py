@@ -136,6 +136,13 @@ class Camera:
         """The intrinsics, then the distortion coefficients, (q,)."""
         return np.concatenate([self.intrinsics, self.distortion_coeffs])
 
+    def packed(self) -> Floats:
+        """Return all that an image depends on, in the order of Lens in kernel.c."""
+        models = get_args(ProjectionName).index(self.projection), get_args(DistortionName).index(self.distortion)
+        shape, linear = self.intrinsics[:-4], self.intrinsics[-4:]
+        parts = (*models, self.distortion_limit), np.pad(shape, (0, 2 - len(shape))), linear, self.distortion_coeffs
+        return np.concatenate([*parts, np.zeros(5 - len(self.distortion_coeffs))])
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Where each parameter stands, such as "intrinsics[0]", (q,)."""

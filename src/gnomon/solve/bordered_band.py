@@ -18,13 +18,13 @@ to the Schur complement, and are forgotten.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from math import prod
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import (
+    dsyrk,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
     dtrsm,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
     dtrsv,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 )
@@ -36,7 +36,6 @@ from .tied_band import TiedLayout
 Floats = NDArray[np.float64]
 
 
-_COLUMNS = 16  # that are folded at once: all of them would be a copy as large as the border
 _LOWER, _CHAIN, _TAIL = "lower", "chain", "tail"
 _OF_A_FACTOR = {_LOWER, _CHAIN}
 
@@ -97,8 +96,8 @@ class WideBorder(Protocol):
         """Return the product (n, d, k) of all blocks with values (size, k) of the parameters."""
         ...
 
-    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
-        """Return the product (size, k) of transposed blocks with values (c, d, k) of control points from `first` on."""
+    def blocks(self, first: int, count: int) -> Floats:
+        """Return the blocks (count, g, size) of control points from `first` on, g the first of their d scalars."""
         ...
 
 
@@ -167,20 +166,15 @@ class BorderedBand:
         corner = np.einsum("ii->i", self.corner)
         corner += damping * corner
 
-    def factorised(self, similar: "Factor | None" = None) -> "Factor":
+    def factorised(self) -> "Factor":
         """Return the factor, which is valid until the next one is made in the same workspace.
-
-        Parameters
-        ----------
-        similar : of similar equations, whose `taken` serves for these, since to make it anew is most of the work;
-            everything else is exact
 
         Raises
         ------
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        return _factorise(self, similar)
+        return _factorise(self)
 
 
 @value_class
@@ -195,8 +189,6 @@ class Factor:
     schur_sides : (p + w, q) its right-hand sides
     controls, size : number of control points, scalars of each
     wide : the wide part of the border, or None
-    taken : (w, w) what the chain takes from the wide part of the Schur complement
-    borrowed : whether that is from similar equations
     ties : see `BorderedBand`
     """
 
@@ -207,23 +199,12 @@ class Factor:
     controls: int
     size: int
     wide: WideBorder | None = None
-    taken: Floats | None = None
-    borrowed: bool = False
     ties: TiedLayout | None = None
 
     @property
     def narrow(self) -> int:
         """Number p of border parameters that are not wide; they come first."""
         return len(self.schur) - (self.wide.size if self.wide is not None else 0)
-
-    def exact(self) -> "Factor":
-        """Return the factor with nothing from similar equations."""
-        if self.wide is None or self.taken is None or not self.borrowed:
-            return self
-        taken = _taken(self.wide, self)
-        schur = self.schur.copy()
-        schur[self.narrow :, self.narrow :] += self.taken - taken
-        return replace(self, schur=schur, taken=taken, borrowed=False)
 
     @property
     def _border(self) -> slice:
@@ -266,7 +247,10 @@ class Factor:
 
         schur_sides = border - product(self._border)
         if self.wide is not None:
-            wide = sum(rows @ forward[k].T for k, rows in _wide_rows(self.wide, self))
+            wide = sum(
+                np.tensordot(rows, forward[first : first + len(rows)], axes=((0, 1), (0, 2)))
+                for first, rows in _wide_rows(self.wide, self)
+            )
             schur_sides = np.concatenate([schur_sides, -np.asarray(wide)])
         inner = np.tensordot(forward, forward, axes=((0, 2), (0, 2)))
         own = np.zeros(0, np.intp) if sides is None else sides
@@ -356,8 +340,8 @@ class Factor:
         border, wide = s + free[free < self.narrow], free[free >= self.narrow] - self.narrow
         beyond = np.empty((blocks, len(wide), s))
         if self.wide is not None and len(wide):
-            for k, rows in _wide_rows(self.wide, self):
-                beyond[k] = rows[wide]
+            for first, rows in _wide_rows(self.wide, self):
+                beyond[first : first + len(rows)] = rows[:, :, wide].swapaxes(1, 2)
         result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
         own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
         for k in range(blocks - 1, -1, -1):
@@ -381,7 +365,7 @@ class Factor:
         return np.einsum("bii->bi", own).reshape(-1, self.size)[: self.controls]
 
 
-def _factorise(system: BorderedBand, similar: Factor | None) -> Factor:
+def _factorise(system: BorderedBand) -> Factor:
     p, q = system.border.shape[2], system.rhs.shape[2]
     lower, chain = _gathered(system)
     blocks, s = lower.shape[:2]
@@ -413,51 +397,48 @@ def _factorise(system: BorderedBand, similar: Factor | None) -> Factor:
     )
     if system.wide is None or not system.wide.size:
         return factor
-    if similar is None or similar.taken is None:
-        taken = _taken(system.wide, factor)
-    else:
-        before = np.diag(similar.schur)[similar.narrow :] + np.diag(similar.taken)
-        size = np.sqrt(np.diag(schur)[p:] / before)
-        taken = similar.taken * np.outer(size, size)
-    cross = system.wide.transposed_times(factor.chain_solutions(np.arange(p + q)))
+    taken, cross = _taken(system.wide, factor)
     schur[p:, p:] -= taken
-    schur[p:, :p] -= cross[:, :p]
-    schur[:p, p:] -= cross[:, :p].T
-    sides[p:] -= cross[:, p:]
-    return replace(factor, taken=taken, borrowed=similar is not None)
+    schur[p:, :p] -= cross[:p].T
+    schur[:p, p:] -= cross[:p]
+    sides[p:] -= cross[p:].T
+    return factor
 
 
 _TOGETHER = 8  # blocks whose products are summed up at once: fewer and larger calls
 
 
-def _taken(wide: WideBorder, factor: Factor) -> Floats:
-    """Return F' (band alone)^-1 F of the wide part F of the border, (w, w)."""
+def _taken(wide: WideBorder, factor: Factor) -> tuple[Floats, Floats]:
+    """Return F' (band alone)^-1 F of the wide part F of the border, (w, w), and of the rest with it, (p + q, w)."""
     s = factor.lower.shape[1]
-    found = np.zeros((wide.size, wide.size))
-    stacked = np.zeros((wide.size, _TOGETHER * s))
-    for k, rows in _wide_rows(wide, factor):
-        place = k % _TOGETHER
-        stacked[:, place * s : (place + 1) * s] = rows
-        if place == _TOGETHER - 1 or k == len(factor.lower) - 1:
-            part = stacked[:, : (place + 1) * s]
-            found += part @ part.T
-    return found
+    found, cross = np.zeros((wide.size, wide.size), order="F"), np.zeros((factor.eliminated.shape[1] - s, wide.size))
+    for first, rows in _wide_rows(wide, factor):
+        flat, others = rows.reshape(-1, wide.size), factor.eliminated[first : first + len(rows), s:]
+        cross += others.swapaxes(0, 1).reshape(len(cross), -1) @ flat
+        dsyrk(1.0, flat.T, beta=1.0, c=found, overwrite_c=1)
+    return np.triu(found) + np.triu(found, 1).T, cross
 
 
 def _wide_rows(wide: WideBorder, factor: Factor) -> Iterator[tuple[int, Floats]]:
-    """Yield L^-1 F of the wide border, transposed (w, s), block after block."""
-    s, d, own = factor.lower.shape[1], factor.size, factor.lower.shape[1]
-    if factor.ties is not None:
-        d, own = factor.ties.groups[0], factor.ties.own
-    before = np.zeros((wide.size, s))
-    for k in range(len(factor.lower)):
-        inverse = dtrtri(factor.lower[k].T, lower=1)[0].T
-        first = k * (own // d)
-        rows = wide.transposed_times(inverse[:own].reshape(-1, d, s)[: factor.controls - first], first)
-        if k:
-            rows -= before @ (factor.eliminated[k - 1, :s].T @ inverse)
-        before = rows
-        yield k, rows
+    """Yield the first of some blocks, and L^-1 F of the wide border there, (b, s, w), valid until the next ones."""
+    (blocks, s), ties = factor.lower.shape[:2], factor.ties
+    d, own = (factor.size, s) if ties is None else (ties.groups[0], ties.own)
+    before, per_block = np.zeros((s, wide.size)), own // d
+    memory = np.zeros((_TOGETHER, s, wide.size))
+    for first in range(0, blocks, _TOGETHER):
+        some = memory[: blocks - first]
+        given = wide.blocks(first * per_block, min(len(some) * per_block, factor.controls - first * per_block))
+        some[:] = 0.0
+        for k in range(len(some)):
+            rows = some[k]
+            part = given[k * per_block : (k + 1) * per_block]
+            rows[:own].reshape(per_block, d, -1)[: len(part), : part.shape[1]] = part
+            if first + k:
+                rows -= factor.eliminated[first + k - 1, :s] @ before
+            dtrsm(1.0, factor.lower[first + k].T, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+            before = rows
+        yield first, some
+        before = before.copy()
 
 
 def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
@@ -470,10 +451,7 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
     if ties is not None:
         lower = system.workspace.zeros(_LOWER, (ties.blocks, ties.size, ties.size))
         chain = system.workspace.zeros(_CHAIN, (ties.blocks, ties.size + p + q, ties.size))
-        ties.gather(system.band, lower, chain)
-        for begin in range(0, p + q, _COLUMNS):
-            some = slice(begin, begin + _COLUMNS)
-            chain[:, ties.size :][:, some] = np.swapaxes(ties.folded(system.tail[:, :, some]), 1, 2)
+        ties.gather(system.band, system.tail, lower, chain)
         return lower, chain
     per_block = max(order - 1, 1)
     blocks, s = -(-n // per_block), per_block * d

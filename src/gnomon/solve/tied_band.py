@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
+from ..kernel import library
 
 Floats = NDArray[np.float64]
+
+_COLUMNS = 16  # that are folded at once: all of them would be a copy as large as what stands beside the band
 
 
 @value_class(eq=True)
@@ -109,11 +112,25 @@ class TiedLayout:
             part -= 2 * u * (1 - u) * bent[: len(part)]
         return found[:, :, 0]
 
-    def gather(self, band: list[list[Floats]], lower: Floats, chain: Floats) -> None:
-        """Write T' N T: blocks on the diagonal (b, s, s), and transposed those after them (b, s + ..., s).
+    def gather(self, band: list[list[Floats]], tail: Floats, lower: Floats, chain: Floats) -> None:
+        """Write T' N T: blocks on the diagonal (b, s, s), and transposed those after them and T' tail (b, s + t, s).
 
         Of the diagonal ones the part right of the diagonal is written, which is the triangle that LAPACK reads.
         """
+        if library.load_kernel() is not None:
+            library.gather_tied(
+                per_block=self.per_block,
+                offset=self.offset,
+                groups=self.groups,
+                band=band,
+                tail=tail,
+                lower=lower,
+                chain=chain,
+            )
+            return
+        for begin in range(0, tail.shape[2], _COLUMNS):
+            some = slice(begin, begin + _COLUMNS)
+            chain[:, self.size :][:, some] = np.swapaxes(self.folded(tail[:, :, some]), 1, 2)
         self._gather_first(band[0][0], lower, chain)
         padding = np.arange(self.controls * self.groups[0] - (self.blocks - 1) * self.own, self.own)
         lower[-1, padding, padding] = 1.0  # control points that are not there are unit and alone

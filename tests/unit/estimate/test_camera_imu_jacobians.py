@@ -35,9 +35,9 @@ def dense(system):
     """Return the normal equations as one matrix, and their right-hand sides."""
     border = system.border
     if system.wide is not None:
-        n, d, _ = border.shape
-        wide = system.wide.transposed_times(np.eye(n * d).reshape(n, d, n * d))
-        border = np.concatenate([border, wide.T.reshape(n, d, -1)], axis=2)
+        wide = system.wide.blocks(0, len(border))
+        wide = np.pad(wide, ((0, 0), (0, border.shape[1] - wide.shape[1]), (0, 0)))
+        border = np.concatenate([border, wide], axis=2)
     n, d, p = border.shape
     matrix = np.zeros((n * d + p, n * d + p))
     starts = system.starts()

@@ -17,8 +17,13 @@ from gnomon.detect.boards.tag_places import fit_homography, map_points
 from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.deviation import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
+from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts
+from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
 from gnomon.estimate.multiposition.rotations import MotionSegments, integrate_rates
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.kernel.library import join_columns
+from gnomon.models.camera import Camera
+from gnomon.models.lens_names import COEFFICIENTS, SHAPES
 from gnomon.writers.apply import _lines
 
 ROOT = Path(__file__).parents[3]
@@ -46,7 +51,7 @@ def equations(given):
     found |= {"tail": system.tail, "corner": system.corner, "corner_rhs": system.corner_rhs}
     found |= {"cost": np.array(lin.cost), "chi2": np.array(lin.inertial_chi2)}
     if system.wide is not None:
-        found["wide"] = system.wide.transposed_times(np.ones((len(system.tail), system.tail.shape[1], 1)))
+        found["wide"] = system.wide.blocks(0, len(system.tail))
     for number, sums in enumerate(lin.sums):
         known = lin.known[number]
         of_exposure = (sums.gram, sums.cost, sums.mean_square, sums.valid)
@@ -67,6 +72,59 @@ def test_the_kernel_gives_what_numpy_gives(name, monkeypatch):
     for key, values in plain.items():
         sizes = np.abs(values[np.isfinite(values)]).max(initial=0.0)
         np.testing.assert_allclose(fast[key], values, rtol=1e-12, atol=1e-12 * sizes, err_msg=key)
+
+
+@compiled
+@pytest.mark.parametrize("distortion", COEFFICIENTS)
+@pytest.mark.parametrize("projection", SHAPES)
+def test_corners_of_every_lens_are_summed_up_as_by_numpy(projection, distortion, monkeypatch):
+    """Near the axis and beyond where it images anything, with a shape of the board and the offset of each corner."""
+    rng = np.random.default_rng(7)
+    shape = [0.3, 1.2][: len(SHAPES[projection])] if projection == "eucm" else [-0.2, 0.6][: len(SHAPES[projection])]
+    coeffs = [0.9] if distortion == "fov" else [-0.1, 0.02, 1e-3, -2e-3, 5e-3][: len(COEFFICIENTS[distortion])]
+    camera = Camera(
+        projection=projection,
+        intrinsics=[*shape, 460, 455, 370, 240],
+        distortion=distortion,
+        distortion_coeffs=coeffs,
+        resolution=(752, 480),
+    )
+    start = np.array([0, 40, 41, 41, 200])
+    points = rng.normal(0, 0.3, (start[-1], 3)) * [1, 1, 0.1]
+    R = rotation_from_rotvec(rng.normal(0, [[0.1], [0.1], [0.1], [2.0]], (4, 3)))
+    p = np.array([[0, 0, 0.5], [1e-4, 0, 0.6], [0, 0, 1], [0.1, 0, 0.2]])
+    points[40] = 0.0  # near the axis
+    exposures = Exposures(
+        frame=np.arange(4),
+        start=start,
+        points=points,
+        pixels=rng.uniform(0, 700, (start[-1], 2)),
+        delay_rows=np.zeros(4),
+        spread=rng.uniform(0.5, 2, start[-1]),
+    )
+    noise = CornerNoise(sigma_px=100.0, huber=2.0, probe_sign=rng.choice([-1.0, 1.0], (start[-1], 2)))
+    found = []
+    for switch in ("1", "0"):
+        monkeypatch.setenv("GNOMON_KERNEL", switch)
+        products = CornerProducts(np.arange(start[-1]) % 50, rng.random(start[-1]) >= 0, 50, len(camera.parameters) + 5)
+        sums = corner_sums(
+            exposures,
+            camera,
+            R,
+            p,
+            noise,
+            own_parameters=np.arange(len(camera.parameters)),
+            target_scale=1.1,
+            scale_column=True,
+            shape=np.stack([points**2, points[:, ::-1]]),
+            offsets=products,
+        )
+        whole = (sums.sums, sums.cost, sums.mean_square, sums.valid, sums.residual, sums.weight, sums.corner_cost)
+        found.append((*whole, products.by_twist, products.rest, products.squares))
+    assert 0 < found[1][3].sum() <= start[-1]
+    for fast, plain in zip(*found, strict=True):
+        sizes = np.abs(plain[np.isfinite(plain)]).max(initial=0.0)
+        np.testing.assert_allclose(fast, plain, rtol=1e-12, atol=1e-12 * sizes)
 
 
 @compiled

@@ -72,7 +72,20 @@ SHAPES = [
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_solution_is_that_of_the_dense_equations_with_the_ties(shape):
+def test_the_kernel_gives_what_numpy_gives(shape, monkeypatch):
+    found = []
+    for switch in ("1", "0"):
+        monkeypatch.setenv("GNOMON_KERNEL", switch)
+        factor = tied_equations(**shape, tied=True)[0].factorised()
+        found.append((factor.lower, factor.eliminated, factor.schur, factor.schur_sides))
+    for fast, plain in zip(*found, strict=True):
+        np.testing.assert_allclose(fast, plain, rtol=1e-12, atol=1e-12 * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("switch", ["1", "0"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_solution_is_that_of_the_dense_equations_with_the_ties(shape, switch, monkeypatch):
+    monkeypatch.setenv("GNOMON_KERNEL", switch)
     system, dense, right = tied_equations(**shape, tied=True)
     p, chain = len(system.corner), len(dense) - len(system.corner)
     follow = weights(**shape)

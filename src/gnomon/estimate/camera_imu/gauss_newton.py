@@ -49,13 +49,12 @@ class GaussNewtonStep:
         return replace(self, trajectory=share * self.trajectory, parameters=share * self.parameters)
 
 
-def gauss_newton_step(lin: NormalEquations, damping: float = 0.0, similar: Factor | None = None) -> GaussNewtonStep:
+def gauss_newton_step(lin: NormalEquations, damping: float = 0.0) -> GaussNewtonStep:
     """Solve the normal equations.
 
     Parameters
     ----------
     damping : added to the diagonal, as a share of it
-    similar : of similar equations, see `BorderedBand.factorised`; the step is an approximation then
 
     Raises
     ------
@@ -64,7 +63,7 @@ def gauss_newton_step(lin: NormalEquations, damping: float = 0.0, similar: Facto
     """
     if damping:
         lin.system.damped(damping)
-    return step_by(lin.system.factorised(similar), lin.layout)
+    return step_by(lin.system.factorised(), lin.layout)
 
 
 def step_by(factor: Factor, layout: BorderLayout) -> GaussNewtonStep:

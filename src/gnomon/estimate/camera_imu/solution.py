@@ -1,7 +1,6 @@
 """From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +9,9 @@ from ...errors import SolveError
 from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats
-from ...solve.bordered_band import Factor, Workspace
+from ...solve.bordered_band import Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, error_terms, linearize_batch
-from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search, step_by
+from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search
 from .layout import BorderLayout
 from .noise_found import estimated_noise, lasting_factor, pixel_levels
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
@@ -25,7 +24,6 @@ GATE = 4.0
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
-_SLOWLY = 0.3  # near it steps shrink faster than this, unless equations that were similar no longer are
 _AT_REST = 0.1  # sigmas that anything may be left after the step, as the last two steps foretell;
 _WIDE_AT_REST = 0.5  # with the corners of a board, whose errors make sigmas of independent errors too small by far
 _NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
@@ -153,9 +151,6 @@ def minimise_cost(
             )
             found = judged.found
             at_rest = settled and judged.same and _left(step, length) < rest  # noise was judged by the strict measure
-            if at_rest and step.factor.borrowed:
-                step = _exact(lin, step)
-                at_rest = _left(step, length) < rest
             changed = not (judged.same or (changed and step.largest > largest))
             if at_rest or changed:
                 state = apply_step(state, lin.layout, step)
@@ -182,7 +177,7 @@ def minimise_cost(
                         return here
                 lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
                 largest, length = step.largest, step.length
-                step, since = _step(lin, step.factor), len(iterations)
+                step, since = _step(lin), len(iterations)
                 continue
         if _stalled(iterations[since:]):
             break
@@ -199,11 +194,8 @@ def minimise_cost(
         )
         iterations += tried
         largest, length = step.largest, step.length
-        similar = None if step.factor.taken is None else step.factor
         del step  # its factor is large, and no longer valid
-        step = _step(lin, similar)
-        if step.factor.borrowed and step.largest < _NEAR and step.length > _SLOWLY * length:
-            step = _exact(lin, step)
+        step = _step(lin)
     if not lin.probing:
         lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
@@ -215,7 +207,7 @@ def minimise_cost(
         noise_found=found,
         layout=lin.layout,
         lin=lin,
-        step=_exact(lin, step) if step.factor.borrowed else step,
+        step=step,
         iterations=tuple(iterations),
         converged=converged,
     )
@@ -272,16 +264,8 @@ def _left(step: GaussNewtonStep, before: float) -> float:
     return step.length * min(1.0, step.length / max(before, 1e-12))
 
 
-def _exact(lin: NormalEquations, step: GaussNewtonStep) -> GaussNewtonStep:
-    """Return the step by the equations themselves instead of similar ones."""
-    return step_by(step.factor.exact(), lin.layout)
-
-
-def _step(lin: NormalEquations, similar: Factor | None = None) -> GaussNewtonStep:
-    """Return the step to the minimum; with many corners of a board by similar equations, if these will do."""
-    if similar is not None and similar.taken is not None:
-        with suppress(np.linalg.LinAlgError):
-            return gauss_newton_step(lin, similar=similar)
+def _step(lin: NormalEquations) -> GaussNewtonStep:
+    """Return the step to the minimum."""
     try:
         return gauss_newton_step(lin)
     except np.linalg.LinAlgError as error:

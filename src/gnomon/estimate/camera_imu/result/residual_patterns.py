@@ -208,7 +208,8 @@ def counting_corners(solution: Solution) -> list[CountingCorners]:
 
 def along_board(by_place: Floats, residual: Floats) -> Floats:
     """Return residuals (m, 2) turned so that they point along the board's axes, by their derivative (m, 2, 2)."""
-    side = np.where(np.linalg.det(by_place) < 0, -1.0, 1.0)  # the board's y axis points up, the image's down
+    mirrored = by_place[:, 0, 0] * by_place[:, 1, 1] < by_place[:, 0, 1] * by_place[:, 1, 0]
+    side = np.where(mirrored, -1.0, 1.0)  # the board's y axis points up, the image's down
     angle = np.arctan2(by_place[:, 1, 0] - side * by_place[:, 0, 1], by_place[:, 0, 0] + side * by_place[:, 1, 1])
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = residual.T

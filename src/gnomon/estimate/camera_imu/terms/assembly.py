@@ -128,6 +128,13 @@ class Term(Protocol):
         """Return the whitened rows (n, r, w) of some instants."""
         ...
 
+    def add_to(self, band: library.Band) -> Floats | None:
+        """Add the products of all rows by the compiled kernel, and return those of the columns from the border on.
+
+        None where that is to be done from the rows.
+        """
+        ...
+
 
 def scalar_groups(imus: int) -> tuple[int, ...]:
     """Return the groups of scalars of a control point: pose, then the biases of every IMU."""
@@ -136,9 +143,14 @@ def scalar_groups(imus: int) -> tuple[int, ...]:
 
 def summed_up(system: BorderedBand, grid: KnotGrid, terms: Iterable[Term]) -> None:
     """Add all terms to the normal equations."""
+    compiled = library.load_kernel() is not None
     for term in terms:
+        columns = term.columns
+        if compiled and (corner := term.add_to(_compiled_band(system, columns, grid.bias_offset))) is not None:
+            _add_corner(system, columns, corner)
+            continue
         for part in taken_together(term):
-            rows, columns = term.rows(part), term.columns
+            rows = term.rows(part)
             spans, gathered = by_span(term.first[part], rows)
             sums = np.matmul(gathered[:, :, : columns.border].transpose(0, 2, 1), gathered)
             _add_spans(system, columns, grid.bias_offset, spans, sums)
@@ -160,7 +172,7 @@ def taken_together(term: Term) -> Iterator[slice]:
 def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
     """Add the sums (s, border, w) of some spans (s,), which overlap each other, to the normal equations."""
     if library.load_kernel() is not None:
-        _add_spans_compiled(system, columns, offset, spans, sums)
+        library.add_spans(sums, spans, _compiled_band(system, columns, offset))
         return
     k, pose, count = columns.order, columns.pose, len(spans)
     band, tail = system.band, system.tail
@@ -199,15 +211,13 @@ def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integ
         add_tail(control, slice(POSE + BIAS * columns.imu, POSE + BIAS * (columns.imu + 1)), rows)
 
 
-def _add_spans_compiled(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
-    """Do the same by the compiled kernel."""
+def _compiled_band(system: BorderedBand, columns: Columns, offset: int) -> library.Band:
+    """Return the normal equations as the compiled kernel takes them."""
     band, imu = system.band, columns.imu
     of_biases = (None,) * 3 if imu is None else (band[0][1 + imu], band[1 + imu][0], band[1 + imu][1 + imu])
     border = [np.arange(to.start, to.stop) for to, _ in columns.pieces]
-    library.add_spans(
+    return library.Band(
         order=columns.order,
-        sums=sums,
-        spans=spans,
         bias_offset=offset,
         band=(band[0][0], *of_biases),
         tail=system.tail,

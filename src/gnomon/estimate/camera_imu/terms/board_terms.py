@@ -14,10 +14,10 @@ of `BorderedBand`); with everything else summed up over the exposures.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 from ....frozen import value_class
 from ....models.target import Target
@@ -90,7 +90,7 @@ class BoardPoints:
 
 _TWIST = 6
 _AXES = 3
-_TOGETHER = 60  # control points, or exposures, that are multiplied at once
+_TOGETHER = 60  # exposures that are multiplied at once
 _DENSE = 0.1  # share of the board's corners in an exposure, from which on zeros for all others cost less
 
 
@@ -119,9 +119,9 @@ class CornerProducts:
         self.rest = np.zeros((width, points, _AXES))
         self.squares = np.zeros((points, _AXES, _AXES))
 
-    def taking(self, corners: slice) -> tuple[Integers, np.ndarray, Floats, Floats, Floats]:
-        """Return number and `counted` of some corners, and where their products are to be added."""
-        return self._point[corners], self._counted[corners], self.by_twist[corners], self.rest, self.squares
+    def taking(self) -> tuple[Integers, np.ndarray, Floats, Floats, Floats]:
+        """Return number and `counted` of all corners, and where their products are to be added."""
+        return self._point, self._counted, self.by_twist, self.rest, self.squares
 
     def add(self, corners: slice, rows: Floats, own: Floats) -> None:
         """Add some corners.
@@ -228,22 +228,21 @@ class Coupling:
             found += value[:, None, None] * controls[self.first + k, :POSE]
         return found.reshape(-1, controls.shape[2])
 
-    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
-        """Return the product (3 k, q) of the offsets with values (c, d, q) of control points from `first` on."""
-        (count, order), width = (len(controls), self.value.shape[1]), controls.shape[2]
-        found = np.zeros((self.squares.shape[1] * _AXES, width))
-        for begin in range(0, count, _TOGETHER):
-            part = controls[begin : begin + _TOGETHER, :POSE]
-            start = first + begin
-            some = slice(*np.searchsorted(self.first, [start - order + 1, start + len(part)]).tolist())
-            if some.start == some.stop:
-                continue
-            at = self.first[some] - start + order - 1
-            weight = np.zeros((len(at), len(part) + 2 * (order - 1)))
-            weight[np.arange(len(at))[:, None], at[:, None] + np.arange(order)] = self.value[some]
-            moved = weight[:, order - 1 : order - 1 + len(part)] @ part.reshape(len(part), -1)
-            found += self.by_pose[POSE * some.start : POSE * some.stop].T @ moved.reshape(-1, width)
-        return found
+    def blocks(self, first: int, count: int) -> Floats:
+        """Return the products (count, 6, 3 k) of the poses of control points from `first` on with the offsets."""
+        order = self.value.shape[1]
+        some = slice(*np.searchsorted(self.first, [first - order + 1, first + count]).tolist())
+        at = self.first[some] - first + order - 1
+        weight = np.zeros((len(at), count + 2 * (order - 1)))
+        weight[np.arange(len(at))[:, None], at[:, None] + np.arange(order)] = self.value[some]
+        weight = weight[:, order - 1 : order - 1 + count].T
+        products = self.by_pose[POSE * some.start : POSE * some.stop]
+        if isinstance(products, np.ndarray):
+            found = weight @ products.reshape(len(at), POSE * products.shape[1])
+        else:
+            spread = csr_array(kron(csr_array(weight), eye_array(POSE)))
+            found = cast(csr_array, spread @ products).toarray()
+        return found.reshape(count, POSE, -1)
 
 
 def exposure_corners(exposures: Integers, start: Integers) -> tuple[Integers, Integers]:
@@ -303,9 +302,10 @@ class BoardBorder:
                 found[camera.first[begins] + k, :POSE] += np.add.reduceat(value[:, None, None] * pull, begins)
         return found
 
-    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
-        """Return the product (size, k) of transposed blocks with values (c, d, k) of control points from `first` on."""
-        found = np.zeros((self.size, controls.shape[2]))
+    def blocks(self, first: int, count: int) -> Floats:
+        """Return the blocks (count, 6, size) of the poses of control points from `first` on."""
+        found = np.zeros((count, POSE, self.size))
         for camera in self._cameras:
-            found += camera.transposed_times(controls, first)
+            if len(camera.first):
+                found += camera.blocks(first, count)
         return found

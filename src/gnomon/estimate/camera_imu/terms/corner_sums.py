@@ -35,8 +35,8 @@ class OffsetProducts(Protocol):
         """Take whitened columns of some corners: rows (6 + w, m, 2) of the exposure, own (3, m, 2) of the offset."""
         ...
 
-    def taking(self, corners: slice) -> tuple[Integers, Booleans, Floats, Floats, Floats]:
-        """Return for some corners their numbers and whether they count, and the arrays that take all products."""
+    def taking(self) -> tuple[Integers, Booleans, Floats, Floats, Floats]:
+        """Return for all corners their numbers and whether they count, and the arrays that take all products."""
         ...
 
 
@@ -173,8 +173,29 @@ def corner_sums(
     cost, square = np.zeros(count), np.full(count, np.nan)
     valid = np.zeros(count, np.int64)
     residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
-    compiled = shape is None and width <= library.MOST_COLUMNS and library.load_kernel() is not None
-    for first, last in exposure_chunks(exposures.start):
+    chunks = exposure_chunks(exposures.start)
+    if width <= library.MOST_COLUMNS and library.load_kernel() is not None:
+        chunks = []
+        library.add_corner_sums(
+            start=exposures.start,
+            pose=(R_cam_target, p_cam_target),
+            points=exposures.points,
+            pixels=exposures.pixels,
+            lens=camera.packed(),
+            own=own,
+            scale=target_scale,
+            scale_column=scale_column,
+            shape=shape,
+            spread=exposures.spread,
+            sign=noise.probe_sign,
+            sigma_px=noise.sigma_px,
+            huber=noise.huber,
+            sums=sums,
+            of_exposure=(cost, square, valid),
+            of_corner=(each, weight, residual),
+            offsets=None if offsets is None else offsets.taking(),
+        )
+    for first, last in chunks:
         corners = slice(int(exposures.start[first]), int(exposures.start[last]))
         lengths = np.diff(exposures.start[first : last + 1])
         which = np.repeat(np.arange(last - first), lengths)
@@ -183,29 +204,6 @@ def corner_sums(
         image = camera.project(point.T, parameters_jacobian=len(own) > 0)
         apart = image.pixels - exposures.pixels[corners]
         spread = 1.0 if exposures.spread is None else exposures.spread[corners]
-        if compiled:
-            assert image.by_point is not None
-            library.add_corner_sums(
-                start=exposures.start[first : last + 1] - corners.start,
-                apart=apart,
-                valid=image.valid,
-                by_point=image.by_point,
-                by_parameters=image.by_parameters if len(own) else None,
-                own=own,
-                point=point,
-                turned=turned if scale_column else None,
-                scale=target_scale,
-                spread=None if exposures.spread is None else exposures.spread[corners],
-                sign=None if noise.probe_sign is None else noise.probe_sign[corners],
-                sigma_px=noise.sigma_px,
-                huber=noise.huber,
-                sums=sums[first:last],
-                of_exposure=(cost[first:last], square[first:last], valid[first:last]),
-                of_corner=(each[corners], weight[corners]),
-                offsets=None if offsets is None else (R_cam_target[first:last], *offsets.taking(corners)),
-            )
-            residual[corners] = apart
-            continue
         off = np.where(image.valid[:, None], apart, 0.0)  # what cannot be imaged must not spoil the sums
         root, rho, robust = _weights(off, image.valid, noise, spread)
         by_scale = turned / target_scale if scale_column else None

@@ -103,14 +103,29 @@ class InertialTerms:
 
     def rows(self, part: slice) -> Floats:
         """Return the rows of both triads, or of the one that has these timestamps, (n, 6 or 3, w), of some readings."""
+        if library.load_kernel() is not None:
+            rows, chi2 = library.inertial_rows(self._readings(part), self.columns.width)
+            self._count(chi2)
+            return rows
         places, data = self._places.some(part), some_readings(self.data, part)
         triads = [(kind, triad) for kind, triad in enumerate((data.gyroscope, data.accelerometer)) if triad is not None]
-        rows = self._compiled_rows(places, data) if library.load_kernel() is not None else self._rows(places, data)
+        rows = self._rows(places, data)
         if self._signs is not None:
             for number, (kind, triad) in enumerate(triads):
                 own = slice(TRIAD * number, TRIAD * (number + 1))
                 rows[:, own, self.columns.side + 1 + kind] = self._signs[part, own] * triad.used[:, None]
         return rows
+
+    def add_to(self, band: library.Band) -> Floats | None:
+        """Add the products of all rows by the compiled kernel, and return those of the columns from the border on."""
+        if self.columns.width > library.MOST_INERTIAL:
+            return None
+        products, chi2 = library.add_inertial_sums(self._readings(slice(None)), self.columns.width, band)
+        self._count(chi2)
+        return products
+
+    def _count(self, chi2: Floats) -> None:
+        self._chi2 = [before + more for before, more in zip(self._chi2, chi2.tolist(), strict=True)]
 
     def _rows(self, places: Places, data: InertialData) -> Floats:
         trajectory, index, imu = self._trajectory, self.data.imu, self._imu
@@ -133,8 +148,9 @@ class InertialTerms:
                 begin += TRIAD
         return rows
 
-    def _compiled_rows(self, places: Places, data: InertialData) -> Floats:
-        """Return the same as `_rows`, by the compiled kernel."""
+    def _readings(self, part: slice) -> library.Readings:
+        """Return some readings as the compiled kernel takes them."""
+        places, data = self._places.some(part), some_readings(self.data, part)
         trajectory, grid, own = self._trajectory, self._trajectory.grid, self.columns.own
         found = (own.get(name, own.get(f"imu{self.data.imu}.{name}")) for name in library.BLOCKS[:-1])
         gyroscope, accelerometer = (
@@ -144,10 +160,8 @@ class InertialTerms:
                 (data.accelerometer, self._noise.accelerometer),
             )
         )
-        rows, chi2 = library.inertial_rows(
-            first=places.first,
-            u=places.u,
-            segment=places.segment,
+        return library.Readings(
+            places=(places.first, places.u, places.segment),
             references=grid.references(),
             bases=np.stack([basis_polynomials(grid.order, d) / grid.spacing_s**d for d in range(4)]),
             controls=trajectory.controls,
@@ -158,10 +172,8 @@ class InertialTerms:
             blocks=[*(-1 if at is None else at.start for at in found), self.columns.side],
             gyroscope=gyroscope,
             accelerometer=accelerometer,
-            width=self.columns.width,
+            signs=None if self._signs is None else self._signs[part],
         )
-        self._chi2 = [before + more for before, more in zip(self._chi2, chi2.tolist(), strict=True)]
-        return rows
 
     def _packed(self) -> Floats:
         """Return what the kernel needs of the IMU and of gravity, in its order (Imu in kernel.c)."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.rotation_vector import skew
+from ....kernel import library
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
 from ..parameters import CameraParameters, RigParameters
@@ -193,6 +194,10 @@ class VisualTerms:
         found[:, :, :3] = -np.vstack([R, skew(x) @ R]) @ motion.phi_jacobian
         found[:, 3:, 3:] = -R @ np.swapaxes(motion.R, 1, 2)
         return found
+
+    def add_to(self, band: library.Band) -> Floats | None:
+        """Return None: the products come from the rows."""
+        del band
 
     def rows(self, part: slice) -> Floats:
         """Return the rows (e, r, w) that sum up the corners of some exposures."""
