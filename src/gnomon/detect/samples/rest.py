@@ -203,7 +203,11 @@ class Stir:
 
 
 def find_stir(table: RestTable) -> Stir:
-    """Return the windows that are louder than the others."""
+    """Return the windows that are louder than the others.
+
+    `detect_rests` does not tell that: its threshold is the one by which many attitudes calibrate an accelerometer best,
+    and it holds all samples. Here is one attitude for hours, read once, also of a gyroscope alone.
+    """
     usual = np.median(table.variance, axis=0)
     samples = max(table.samples / max(len(table.t_s), 1), 2.0)
     # The variances of filtered noise scatter more than those of white noise.
