@@ -9,7 +9,7 @@ from gnomon import ImuNoise
 from gnomon.calibrate.turntable import calibrate_turntable
 from gnomon.detect.samples.range_change import saturated_samples
 from gnomon.detect.samples.steady import find_steady, largest_rate
-from gnomon.errors import DetectionError, OptionError
+from gnomon.errors import DetectionError, OptionError, SolveError
 from gnomon.estimate.turntable.axis import ForceBlocks, axis_in_sensor
 from gnomon.estimate.turntable.parts import drift_at
 from gnomon.estimate.turntable.speeds import NO_SPEED, assign_speeds
@@ -172,6 +172,24 @@ def test_speeds_that_contradict_each_other_are_named():
     result, _ = calibrated(scenario, stated(33.333), stated(43.0))
     assert result.calibration.verdict == "fail"
     assert "ratio" in codes(result)["rates-contradict"].message
+
+
+@pytest.mark.parametrize(
+    "platter", [{}, {"wow": 0.01}, {"speed_scatter": 0.003}, {"tilt_deg": 3.0}, {"rpm": (33.5, 45.2)}], ids=str
+)
+def test_a_platter_that_is_not_ideal_moves_nothing_beyond_its_sigmas(platter):
+    scenario = TurntableScenario(**{**QUICK, "rpm": (33.33, 45.0), "gyroscope_range": 17.0, **platter})
+    result, simulation = calibrated(scenario, stated(33.33, 1e-2), stated(45.0, 1e-2), gravity=9.80665, seed=31)
+    for path in ("imu0.gyroscope.sensitivity", "imu0.gyroscope.bias"):
+        error = result.calibration.parameter(path) - simulation.truth.parameter(path)
+        assert np.all(np.abs(error) < 4 * result.calibration.sigma(path))
+
+
+def test_without_a_part_that_turned_nothing_is_calibrated():
+    """Beyond its full scale of 2.6 rad/s the gyroscope shows no speed; what seems steady contradicts itself."""
+    scenario = TurntableScenario(rpm=(33.33, 45.0), wow=0.01)
+    with pytest.raises(SolveError, match="Check the stated speeds, the full scale of the gyroscope"):
+        calibrated(scenario, stated(33.33, 1e-2), stated(45.0, 1e-2), seed=31)
 
 
 def test_a_rate_that_belongs_to_one_file():

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ...errors import SolveError
 from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
@@ -287,6 +288,11 @@ def _fit_with_drift(
     """Fit, look whether the residuals at rest follow the temperature, or each other in time, and fit without that."""
     fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
     at_rest = (poses.magnitude == 0) & fit.used
+    if (at_rest == fit.used).all():
+        raise SolveError(
+            "no steady part that turned is left: they do not agree with each other about the gyroscope. Check the "
+            "stated speeds, the full scale of the gyroscope, and that the sensor cannot slip on the platter."
+        )
     residual = poses.measured - fit.bias
     if poses.force is not None:
         residual = residual - poses.force @ fit.g_sensitivity.T
