@@ -23,6 +23,9 @@ SEEN = """(() => ({
   inner: window.innerWidth, scroll: document.documentElement.scrollWidth, address: location.href,
   live: document.getElementById("advice").getAttribute("aria-live"), cookie: document.cookie,
 }))()"""
+COUNTED = """["3 s more", "2 s more", "Turn it"].map((advice) => {
+  showCommon({...state, advice, faults: []}, "");
+  return [$("advice").textContent, $("advice").getAttribute("aria-live")]; })"""
 ADVICE = """document.getElementById("advice")?.textContent ?? "" """
 DRAWN = """["box", "sphere", "trace"].map((id) => {
   const c = document.getElementById(id);
@@ -56,6 +59,7 @@ def test_the_page_shows_what_the_coach_says(tmp_path, width, mobile, scheme):
         assert seen["scroll"] <= seen["inner"] == width
         assert browser.evaluate(DRAWN) == [True, True, True]
         assert page.token not in seen["address"] + seen["cookie"]
+        assert browser.evaluate(COUNTED) == [["3 s more", "polite"], ["2 s more", "off"], ["Turn it", "polite"]]
         browser.evaluate('document.getElementById("stop").click() ?? 1')
         assert session.stopped.wait(5.0)
     finally:

@@ -217,23 +217,22 @@ class Coach:
         self._rate_unit = rate_unit_of(imu)
         prospect = look_ahead(imu, self._use, self._factors)
         confirmed, rests = self.state.confirmed, len(prospect.up)
-        met = prospect.needs and all(need.sigma <= need.needed for need in prospect.needs)
-        if met and not confirmed and rests >= max(_FEWEST_RESTS, _MORE * self._tried):
-            self._tried = rests
-            confirmed, needs = self._confirmed(imu, prospect.needs)
+        if prospect.needs and not confirmed:
+            serves, needs, why = self._tried_out(imu, prospect.needs)
             prospect = replace(prospect, needs=needs)
+            if rests >= max(_FEWEST_RESTS, _MORE * self._tried) and _met(needs):
+                self._tried, self._not_yet, confirmed = rests, why, serves
         self.state = replace(self.state, prospect=prospect, confirmed=confirmed)
 
-    def _confirmed(self, imu: ImuSamples, foreseen: tuple[Need, ...]) -> tuple[bool, tuple[Need, ...]]:
-        """Return whether a calibration of the recording serves, and what it reached; learn from the difference.
+    def _tried_out(self, imu: ImuSamples, foreseen: tuple[Need, ...]) -> tuple[bool, tuple[Need, ...], str]:
+        """Return whether a calibration so far serves, what it reached, and why not; learn from the difference.
 
         What is past, such as a gap where the cable was pulled out, is told and holds nobody up.
         """
         try:
             calibration = calibrate_imu(Recording(imus={"imu0": imu})).calibration
         except GnomonError as error:
-            self._not_yet = str(error)
-            return False, foreseen
+            return False, foreseen, str(error)
         needs = needs_of_use(calibration, self._use)
         reached = {need.block: need.sigma for need in needs}
         for need in foreseen:
@@ -241,9 +240,9 @@ class Coach:
             self._factors[need.block] = self._factors.get(need.block, 1.0) * times
         judged = judge_for_use(calibration, None if self._use.name == GENERAL else self._use)
         wrong = [one for one in judged.assessment.findings if one.severity in {"problem", "warning"}]
-        self._not_yet = f"{wrong[0].message} {wrong[0].cure}" if wrong else ""
         past = judged.verdict == "warn" and {finding.code for finding in wrong} <= _PAST
-        return (judged.verdict == "pass" or past) and all(need.verdict == "pass" for need in needs), needs
+        serves = (judged.verdict == "pass" or past) and all(need.verdict == "pass" for need in needs)
+        return serves, needs, f"{wrong[0].message} {wrong[0].cure}" if wrong else ""
 
     def _in_units(self, last_s: float | None) -> ImuSamples:
         """Return all samples, or those of the last seconds, in units as a reader would tell them."""
@@ -276,9 +275,13 @@ class Coach:
         if self._shaky > 2:
             return {"phase": "shaking", "advice": "It shakes: put it down or lean it against something, and let go."}
         more = _FEWEST_RESTS - rests
-        met = state.prospect.needs and all(need.sigma <= need.needed for need in state.prospect.needs)
+        met = state.prospect.needs and _met(state.prospect.needs)
         why = f"{more} more rests show that it is true" if met and more > 0 else "any new attitude counts"
         return {"phase": "turn", "advice": f"Put it {words_of_attitude(state.prospect.target)}; {why}."}
+
+
+def _met(needs: tuple[Need, ...]) -> bool:
+    return all(need.sigma <= need.needed for need in needs)
 
 
 class _Growing:

@@ -103,3 +103,38 @@ def test_real_clocks_keep_together(real_data) -> None:
         imu=None,
     )
     assert {finding.code for finding in check_recording_rig(recording, target)} == {"clock", "tag-spacing"}
+
+
+def beginning_of(seed, seconds, planted):
+    """Return the findings on the first seconds of a recording in which something is wrong with the IMU's timestamps."""
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=seconds, camera_rate_hz=30.0), seed)
+    imu = simulation.recording.imus["imu0"]
+    imu = replace(
+        imu, **{name: replace(one := getattr(imu, name), t_ns=t_ns(one.t_ns)) for name, t_ns in planted.items()}
+    )
+    recording = replace(simulation.recording, imus={"imu0": imu})
+    return [one for one in check_recording_rig(recording, simulation.target, lens=False) if one.severity != "good"]
+
+
+def fast(t_ns):
+    return t_ns[0] + ((t_ns - t_ns[0]) * 1.01).astype(np.int64)
+
+
+EARLY = {
+    "clock-drift": {"accelerometer": fast, "gyroscope": fast},
+    "triads-apart": {"accelerometer": lambda t_ns: t_ns + 60_000_000},
+    "": {},
+}
+
+
+@pytest.mark.parametrize("code", EARLY)
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_two_and_a_half_seconds_tell_of_clocks_far_apart(seed, code):
+    found = [one for one in beginning_of(seed, 2.5, EARLY[code]) if one.code != "motion-slow"]
+    assert {one.code for one in found} == ({code} if code else set())
+    if code == "clock-drift":
+        assert "ppm" in found[0].message
+        ppm = float(found[0].message.split("apart by ")[1].split()[0])
+        assert ppm == pytest.approx(10_000, abs=4000)
+    if code == "triads-apart":
+        assert "accelerometer of imu0 comes" in found[0].message

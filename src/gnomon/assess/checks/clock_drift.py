@@ -17,6 +17,8 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
 from .clock_checks import drift_finding
+from .early_clocks import early_drift
+from .rig_axes import rate_at
 
 _STEP_S, _LONGEST_STEP_S = 0.1, 0.35
 _STRETCHES = 20
@@ -49,7 +51,9 @@ class ClockDrift:
 def look_at_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
     """Say whether a camera's clock drifts against that of the IMU (codes clock, clock-drift); as `check_drift`."""
     drift = clock_drift(poses, stream, time_shift_s)
-    return [] if drift is None else [_warning(name, imu, poses, drift) or _steady(name, imu, drift)]
+    if drift is None:
+        return early_drift(name, poses, stream, time_shift_s, imu)
+    return [_warning(name, imu, poses, drift) or _steady(name, imu, drift)]
 
 
 def check_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
@@ -101,7 +105,7 @@ def _remaining(turns: "_Turns", integral: GyroscopeIntegral, stream: ImuStream) 
     if len(turns.start_s) < _FEWEST_TURNS * _FEWEST_STRETCHES:
         return None
     gyro = (integral(turns.stop_s) - integral(turns.start_s)) / turns.length_s
-    change = (_rate(stream, turns.stop_s) - _rate(stream, turns.start_s)) / turns.length_s
+    change = (rate_at(stream, turns.stop_s) - rate_at(stream, turns.start_s)) / turns.length_s
     matrix, weight = _explained(turns.rate, gyro, change)
     rest = gyro - turns.rate @ matrix[:3]
     count = min(_STRETCHES, len(rest) // _FEWEST_TURNS)
@@ -143,10 +147,6 @@ def _turns(poses: BoardPoses, time_shift_s: float, drift: float, integral: Gyros
     kept = inside & (stop > start) & (stop - start < _LONGEST_STEP_S) & (np.linalg.norm(rotvec, axis=1) < 2.0)
     start, stop = start[kept], stop[kept]
     return _Turns(start_s=start, stop_s=stop, rate=rotvec[kept] / (stop - start)[:, None], shift_s=time_shift_s)
-
-
-def _rate(stream: ImuStream, t_s: Floats) -> Floats:
-    return np.stack([np.interp(t_s, stream.t_s, stream.rate[:, i]) for i in range(3)], axis=1)
 
 
 def _explained(camera: Floats, gyro: Floats, change: Floats) -> tuple[Floats, Floats]:

@@ -124,7 +124,7 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
     length = (stop - start)[:, None]
     design = np.column_stack([seen, np.ones(len(seen))])
     fit = _robust(design, read)
-    change = (_rate(stream, stop) - _rate(stream, start)) / length
+    change = (rate_at(stream, stop) - rate_at(stream, start)) / length
     delay = fit.shift(design, change)
     return AxesFit(
         matrix=fit.solution[:3].T,
@@ -139,7 +139,7 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
 def felt_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[Floats, Floats, Floats] | None:
     """Return instants [s] (n,), what the camera saw of the force there (n, 22), and what was read (n, 3); or None."""
     seen = _seen_force(poses, stream, time_shift_s)
-    return None if seen is None else (seen[0], seen[1], _averaged(stream, seen[0], seen[2]))
+    return None if seen is None else (seen[0], seen[1], averaged_force(stream, seen[0], seen[2]))
 
 
 def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gyroscope: AxesFit) -> Floats | None:
@@ -148,15 +148,12 @@ def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gy
     Of all 48 it is the one with which the camera's turns, as the gyroscope reads them, show what the accelerometer
     reads: only gravity, the IMU's place and a bias are free.
     """
-    seen = _seen_force(poses, stream, time_shift_s, _FEWEST_FORCES)
+    seen = force_by_gyroscope(poses, stream, time_shift_s, gyroscope)
     if seen is None:
         return None
-    at, design, step_s = seen
-    axes = gyroscope.matrix / np.cbrt(abs(np.linalg.det(gyroscope.matrix)))
-    felt, down = axes @ design[:, :12].reshape(-1, 3, 4), axes @ design[:, 12:21].reshape(-1, 3, 3)
-    free = np.concatenate([felt[:, :, 1:], down, np.broadcast_to(np.eye(3), down.shape)], axis=2)
-    read = _averaged(stream, at, step_s)
-    wanted = np.moveaxis(read @ np.swapaxes(_EXCHANGES, 1, 2) - felt[:, :, 0], 0, 2)
+    at, step_s, known, free = seen
+    read = averaged_force(stream, at, step_s)
+    wanted = np.moveaxis(read @ np.swapaxes(_EXCHANGES, 1, 2) - known, 0, 2)
     used, left = np.ones(len(at), dtype=bool), np.zeros(len(_EXCHANGES))
     for _ in range(_ROUNDS):
         rows = free[used].reshape(-1, 9)
@@ -167,6 +164,28 @@ def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gy
         used = error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-9
     best, second = np.partition(left, 1)[:2]
     return _EXCHANGES[np.argmin(left)] if best < _LEFT and second > _CLEARLY * best else None
+
+
+def force_by_gyroscope(
+    poses: BoardPoses, stream: ImuStream, time_shift_s: float, gyroscope: AxesFit
+) -> tuple[Floats, float, Floats, Floats] | None:
+    """Return what the accelerometer feels if its axes are the gyroscope's; None of too few frames.
+
+    Returns
+    -------
+    t_s : (n,) instants [s]
+    step_s : over which time about them [s]
+    known : (n, 3) by the camera's acceleration
+    free : (n, 3, 9) by the IMU's place, gravity and a bias
+    """
+    seen = _seen_force(poses, stream, time_shift_s, _FEWEST_FORCES)
+    if seen is None:
+        return None
+    at, design, step_s = seen
+    axes = gyroscope.matrix / np.cbrt(abs(np.linalg.det(gyroscope.matrix)))
+    felt, down = axes @ design[:, :12].reshape(-1, 3, 4), axes @ design[:, 12:21].reshape(-1, 3, 3)
+    free = np.concatenate([felt[:, :, 1:], down, np.broadcast_to(np.eye(3), down.shape)], axis=2)
+    return at, step_s, felt[:, :, 0], free
 
 
 def _seen_force(
@@ -195,15 +214,15 @@ def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float
     if seen is None:
         return None
     at, design, step_s = seen
-    fit = _robust(design, _averaged(stream, at, step_s))
-    slope = (_averaged(stream, at + 0.01, step_s) - _averaged(stream, at - 0.01, step_s)) / 0.02
+    fit = _robust(design, averaged_force(stream, at, step_s))
+    slope = (averaged_force(stream, at + 0.01, step_s) - averaged_force(stream, at - 0.01, step_s)) / 0.02
     delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)
-    costs = [_cost(design, _averaged(stream, at + delay, step_s), fit.weight) for delay in delays]
+    costs = [_cost(design, averaged_force(stream, at + delay, step_s), fit.weight) for delay in delays]
     best = int(np.argmin(costs))
     delay = float(delays[best])
-    refined = _robust(design, _averaged(stream, at + delay, step_s))
+    refined = _robust(design, averaged_force(stream, at + delay, step_s))
     delay += refined.shift(design, slope)
-    final = _robust(design, _averaged(stream, at + delay, step_s))
+    final = _robust(design, averaged_force(stream, at + delay, step_s))
     return AxesFit(
         matrix=_accelerometer_matrix(final.solution),
         offset=final.solution[21],
@@ -223,7 +242,7 @@ def _accelerometer_matrix(solution: Floats) -> Floats:
     return matrix * (np.sign(float((matrix * own).sum())) or 1.0)
 
 
-def _averaged(stream: ImuStream, t_s: Floats, step_s: float) -> Floats:
+def averaged_force(stream: ImuStream, t_s: Floats, step_s: float) -> Floats:
     """Return the specific force averaged with a triangular window about instants, (n, 3)."""
     offsets = np.linspace(-1, 1, _WINDOW)[1:-1] * step_s
     weights = (1 - np.abs(offsets) / step_s) / (1 - np.abs(offsets) / step_s).sum()
@@ -231,7 +250,8 @@ def _averaged(stream: ImuStream, t_s: Floats, step_s: float) -> Floats:
     return np.stack([np.interp(at, stream.t_s, stream.force[:, i]) @ weights for i in range(3)], axis=1)
 
 
-def _rate(stream: ImuStream, t_s: Floats) -> Floats:
+def rate_at(stream: ImuStream, t_s: Floats) -> Floats:
+    """Return the angular rate at instants, (n, 3) [rad/s]."""
     return np.stack([np.interp(t_s, stream.t_s, stream.rate[:, i]) for i in range(3)], axis=1)
 
 

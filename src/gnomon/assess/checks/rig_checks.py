@@ -29,6 +29,7 @@ from ..verdict import merge_by_cause
 from .accelerometer_change import check_accelerometer_change
 from .board_turn import BoardTurns, board_move, moved_finding
 from .clock_drift import look_at_drift
+from .early_clocks import late_accelerometer
 from .rig_axes import (
     AxesFit,
     FrameTimes,
@@ -186,8 +187,12 @@ def check_look(
     if times is not None:
         jump = _jump(name, imu, times)
         findings += jump or _late(name, times)
+    apart: list[Finding] = []
     if not jump and accelerometer is not None and accelerometer.explained > _EXPLAINED:
-        findings += _apart(imu, gyroscope, accelerometer)
+        apart = _apart(imu, gyroscope, accelerometer)
+    if not (jump or apart) and told and (whole is None or np.array_equal(whole, np.eye(3))):
+        apart = late_accelerometer(imu, poses, stream, shift, gyroscope)
+    findings += apart
     return [*findings, *_shift(name, imu, shift)], None if times is None else times.turns
 
 

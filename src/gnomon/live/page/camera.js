@@ -68,7 +68,7 @@ function show(next) {
   showLights(next.lights);
   showBars(next.bars);
   draw();
-  return `${next.written} images, ${next.views} views`;
+  return `${counted(next.written, "image")}, ${counted(next.views, "view")}`;
 }
 
 picture.onload = draw;

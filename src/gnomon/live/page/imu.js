@@ -168,7 +168,7 @@ function show(next) {
   $("hold").value = Math.min(1, next.still_s / next.hold_s);
   showBars(next.bars);
   drawSphere();
-  return `${next.rests.length} rests`;
+  return counted(next.rests.length, "rest");
 }
 
 follow(show).addEventListener("trace", (event) => { trace = [...trace, ...JSON.parse(event.data)].slice(-600); drawTrace(); });

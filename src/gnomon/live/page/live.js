@@ -1,6 +1,7 @@
 "use strict"; // what all pages of a guided capture share
 const $ = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+const counted = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 let shown = "", audio = null;
 
 function beep(pitch) {
@@ -33,11 +34,12 @@ function showPhone(address) {
 function showCommon(next, numbers) {
   showPhone(next.phone);
   const advice = next.stopped ? "Calibrating." : next.advice;
-  if (advice.replace(/\d+/g, "") !== shown.replace(/\d+/g, "")) { // not each second aloud
-    $("advice").textContent = advice;
-    speak(advice);
+  if (advice !== shown) {
+    const alike = advice.replace(/\d+/g, "") === shown.replace(/\d+/g, "");
+    $("advice").setAttribute("aria-live", alike ? "off" : "polite"); // numbers count down, and not each second aloud
+    $("advice").textContent = shown = advice;
+    if (!alike) speak(advice);
   }
-  shown = advice;
   $("advice").className = next.confirmed ? "enough" : "";
   $("stop").className = next.confirmed ? "enough" : "";
   $("numbers").textContent = `${next.seconds.toFixed(0)} s, ${next.rate_hz.toFixed(0)} Hz, ${numbers}` +
@@ -50,6 +52,7 @@ function showCommon(next, numbers) {
 }
 
 function showResult(result) {
+  $("advice").setAttribute("aria-live", "polite");
   $("advice").textContent = result === "done" ? "Done. Here is the report." :
     "The recording is kept, but it gave no calibration: the terminal says why.";
   $("report").hidden = result !== "done";
