@@ -76,6 +76,20 @@ def test_a_hand_that_follows_the_advice_ends_with_a_calibration_that_serves(tmp_
 
 
 @pytest.mark.long
+def test_the_first_bars_are_what_a_calibration_reaches(tmp_path):
+    session, hand = session_in(tmp_path, "vio"), SimulatedHand(2)
+    state = follow(session, hand, 90, until=lambda state: state.prospect.needs)[-1][0]
+    session.end_recording()
+    assert 7 <= len(state.prospect.up) <= 8
+    recording = gnomon.Recording(imus={"imu0": session.coach.samples})
+    reached = needs_of_use(gnomon.calibrate_imu(recording).calibration, USES["vio"])
+    assert {need.block: need.sigma for need in state.prospect.needs} == pytest.approx(
+        {need.block: need.sigma for need in reached}
+    )
+    assert not state.confirmed
+
+
+@pytest.mark.long
 def test_what_more_rests_do_not_mend_is_told_and_holds_nobody_up(tmp_path):
     session, hand = session_in(tmp_path), SimulatedHand(4)
     unplugged = (line for k, line in enumerate(hand.sample_lines()) if not 5200 <= k < 5400)

@@ -300,7 +300,8 @@ class _Linear:
         """Return the standard deviation of that; neighbouring differences share poses, hence the factor two."""
         rest, free = self._free(design, slope)
         energy = max(float((free * free).sum()), 1e-30)
-        return 2.0 * float(np.sqrt((rest * rest).mean() / energy))
+        freedom = max(rest.size - 3 * design.shape[1] - 1, 1)
+        return 2.0 * float(np.sqrt((rest * rest).sum() / freedom / energy))
 
     def _free(self, design: Floats, slope: Floats) -> tuple[Floats, Floats]:
         used = self.weight > 0
