@@ -19,7 +19,7 @@ from .rig_axes import AxesFit, averaged_force, force_by_gyroscope, rate_at
 
 _FEWEST, _ROUNDS, _ROBUST = 26, 3, 3.5
 _EXPLAINED, _ALIKE = 0.999, 0.9
-_FAST, _SIGMAS = 5e-3, 4.0
+_FAST, _SIGMAS = 5e-3, 5.0
 _SEARCH_S, _TRIALS, _STEP_S = 0.1, 41, 0.01
 _LATE_S, _LATE_SIGMAS, _CLEARLY = 0.015, 4.0, 2.0
 _LEFT = 0.1  # of the variance of the force, at most
