@@ -143,7 +143,7 @@ def _calibrated(  # noqa: PLR0917
     used = [finding for one in known for finding in prior_used(one)]
     warmth = check_thermometers(recording.imus)
     prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *warmth))
-    tell("finding the board's poses, the time shift and the camera's axes")
+    tell("finding the camera's poses, the time shift and its axes")
     rig = _align(recording, target, prepared)
     prepared = rig.prepared
     estimated, rolling = with_line_delays(options, rig.looks, prepared.findings)

@@ -61,6 +61,13 @@ def solver(monkeypatch, camera_imu_case):
     return calibrate
 
 
+def test_a_walk_before_a_board_is_refused(tmp_path):
+    code, _, err = run("simulate", "camera-imu", "-o", tmp_path / "rig", "--motion", "walk")
+    assert code == 2
+    assert "gnomon simulate room --motion walk" in " ".join(err.split())
+    assert not (tmp_path / "rig").exists()
+
+
 def test_result_folder(simulated, tmp_path, solver, camera_imu_case):
     code, out, err = run("camera-imu", simulated, "-o", tmp_path / "out", "--no-report")
     assert code == 0, err

@@ -230,6 +230,10 @@ class SimulateCameraImu(FromScenario):
         folder = self.output
         replaced = replaces_simulated(folder, RIG_FILES)
         check_form(self.form, images=self.options.images)
+        if self.options.motion == "walk":
+            raise OptionError(
+                "--motion walk leaves the board behind. A walk through a room: gnomon simulate room --motion walk."
+            )
         own = (*CAMERA_FILES, *CAMERAS_FILES) if replaced else CAMERA_FILES
         with result_folder(folder, own=own) as staging:
             terminal.progress("simulating")

@@ -143,8 +143,8 @@ def align_camera(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> A
             f"{name} and the gyroscope do not show the same rotation at any time shift: the best one, "
             f"{found.time_shift_s:.2f} s, explains {100 * max(found.score, 0):.0f} % of it (rms {name} "
             f"{np.degrees(np.linalg.norm(spread)):.3g}, gyroscope {np.degrees(_rate(integral)):.3g} deg/s). Either "
-            "hardly anything turned, or the board's poses are too uncertain (small in the image, blurred), or the "
-            "streams are not of one recording. Turn about all three axes, briskly, with the board large in view."
+            "hardly anything turned, or the camera's poses are too uncertain (small board in the image, blurred), or "
+            "the streams are not of one recording. Turn about all three axes, briskly, with a board large in view."
         )
     if not fits_scale:
         raise InitialisationError(
