@@ -124,9 +124,13 @@ _ORDER = {code: rank for rank, code in enumerate(_EXPLAINS)}
 _SYMPTOMS = frozenset().union(*_EXPLAINS.values()) - _EXPLAINS.keys()
 
 
+_SEEN_BY_EACH_CAMERA = "triads-apart"  # with other digits; it is told once of an IMU
+
+
 def merge_by_cause(findings: list[Finding]) -> tuple[Finding, ...]:
     """Return findings by severity, causes before what follows from them, otherwise in their order."""
-    told = _explained(findings)
+    seen = {f.subject: f for f in reversed(findings) if f.code == _SEEN_BY_EACH_CAMERA}
+    told = _explained([f for f in findings if f.code != _SEEN_BY_EACH_CAMERA or f is seen[f.subject]])
     return tuple(sorted(told, key=lambda finding: (SEVERITIES[finding.severity], _rank(finding.code))))
 
 

@@ -116,12 +116,13 @@ def test_what_check_says_of_several_imus(monkeypatch):
     looked = []
     fit = rig_lens.lens_fit
     monkeypatch.setattr(rig_lens, "lens_fit", lambda *given: looked.append(1) or fit(*given))
-    simulation = simulate_camera_imu(replace(APART, duration_s=12.0, accelerometer_delay_s=0.008), seed=3)
+    simulation = simulate_camera_imu(replace(APART, duration_s=12.0, accelerometer_delay_s=0.01), seed=3)
     recording = simulation.recording
     findings = check_corners(recording, simulation.target)
     assert len(looked) == len(recording.cameras)  # however many IMUs there are
     apart = {finding.message.split(" comes")[0]: finding for finding in findings if finding.code == "triads-apart"}
     assert set(apart) == {"The accelerometer of imu0", "The accelerometer of imu1"}
+    assert sum(finding.code == "triads-apart" for finding in findings) == 2  # though each camera sees that of imu0
     assert "--free imu1.accelerometer_shift" in apart["The accelerometer of imu1"].cure
     without_time = [finding.message.split(" have")[0] for finding in findings if finding.code == "streams-apart"]
     assert without_time == ["cam0 and imu0", "cam0 and imu1", "cam1 and imu0"]
