@@ -17,6 +17,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -252,14 +253,16 @@ def stages(found: list[Recorded]) -> Table:
             marks: list[tuple[str, float]] = []
 
             def mark(step: str, marks: list[tuple[str, float]] = marks) -> None:
-                if not step.startswith("iteration"):  # they are part of the estimation
-                    marks.append((step, time.process_time()))
+                if not step.startswith("iteration"):  # they are part of the estimation, whose share is told, too
+                    marks.append((step.partition(":")[0], time.process_time()))
 
             gnomon.calibrate_camera_imu(recording, target, one.options(), mark)
             marks.append(("", time.process_time()))
-            if run:
-                for (step, start), (_, end) in pairwise(marks):
-                    runs.setdefault(step, []).append(end - start)
+            totals = Counter[str]()
+            for (step, start), (_, end) in pairwise(marks):
+                totals[step] += end - start
+            for step, seconds in totals.items() if run else ():
+                runs.setdefault(step, []).append(seconds)
         gathered[one.name] = {step: statistics.median(seconds) for step, seconds in runs.items()}
     table = Table("Share of the stages", ("", *gathered))
     steps = list(dict.fromkeys(step for shares in gathered.values() for step in shares))
