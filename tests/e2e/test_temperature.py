@@ -137,6 +137,18 @@ def test_scales_follow_the_temperature_of_three_turned_recordings(oven, run, tmp
     assert run("show", tmp_path / "found")[1].count("accelerometer_sensitivity1_") == 6
 
 
+def test_scales_of_turned_recordings_are_those_of_the_stated_gravity(oven, run, tmp_path):
+    _, paths = oven
+    code, _, err = run("temperature", *paths, "-o", tmp_path / "found", "--gravity", "9.82", "--no-report")
+    assert code == 0, err
+    known = gnomon.load(tmp_path / "found" / "calibration.yaml")
+    assert known.gravity.value == 9.82
+    assert known.provenance.options["gravity"] == "9.82"
+    scale = np.diag(known.imus["imu0"].accelerometer.sensitivity)
+    relative = np.diag(known.sigma("imu0.accelerometer.sensitivity")) / scale
+    assert np.all(relative < 8e-4)  # 2e-3 where gravity is not stated
+
+
 @pytest.mark.long
 def test_a_rate_at_another_temperature_is_right_after_apply(oven, run, tmp_path):
     made, paths = oven

@@ -26,6 +26,7 @@ from ..estimate.temperature.bias_drift import (
 )
 from ..findings import Finding
 from ..frozen import value_class
+from ..options import ImuOptions
 from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
@@ -33,7 +34,7 @@ from ..results.calibration import Calibration, Covariance, Provenance
 from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from .steps.nominal_sensor import base_calibration
-from .steps.preparation import recording_names, refuse_same_data
+from .steps.preparation import recording_names, refuse_same_data, stated_options
 from .steps.temperature_while_turned import supported_order
 from .steps.warm_ups import RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
 from .turned_temperature import (
@@ -76,25 +77,28 @@ def calibrate_temperature(
     calibration: Calibration | None = None,
     *,
     reference_degc: float | None = None,
+    options: ImuOptions | None = None,
     progress: Progress | None = None,
 ) -> TemperatureResult:
-    """Find how the biases of an IMU change with its temperature, from recordings at rest while it changes.
+    """Find how biases and scales of an IMU change with its temperature, from warm-ups at rest or turned recordings.
 
     At rest in one attitude an accelerometer's change of bias and of scale look the same; both are stated as that of the
-    bias.
+    bias. Three multi-position recordings or more, each at another temperature, tell them apart.
 
     Parameters
     ----------
-    recordings : of one sensor, each from one switching-on, at rest throughout, with its thermometer's readings
+    recordings : of one sensor, each from one switching-on, with its thermometer's readings: at rest throughout while it
+        warms up, or turned from rest to rest at one temperature
     calibration : of the same sensor, which holds at `reference_degc`; without one its other numbers are ideal
     reference_degc : temperature at which the calibration holds [degC]; that which it states where not given, and
         without a calibration the middle of the range
+    options : how turned recordings are calibrated, such as local gravity; with a `calibration` they tell changes alone
     progress : called with a sentence at each step
 
     Raises
     ------
     RecordingError
-        If a recording has no thermometer, is not at rest, or tells too little.
+        If a recording has no thermometer, is neither at rest nor turned from rest to rest, or tells too little.
     OptionError
         If the calibration is of other sensors, or does not tell at which temperature it holds.
     """
@@ -107,7 +111,8 @@ def calibrate_temperature(
     base, nominal = base_calibration(calibration, samples[0], names[0])
     low, high, step = _as_read(samples)
     reference = _reference(reference_degc, calibration, (low, high))
-    turned = _turned(recordings, samples, names, reference, tell)
+    options = options or ImuOptions()
+    turned = _turned(recordings, samples, names, reference, options=options, tell=tell)
     if turned is not None:
         base = turned_calibration(turned, None if nominal else base, *_beyond(turned.span))
     resting = [i for i, name in enumerate(names) if turned is None or name not in turned.names]
@@ -122,7 +127,7 @@ def calibrate_temperature(
     result = replace(result, nominal=nominal and turned is None)
     thermometers = [finding for name, one in zip(names, samples, strict=True) for finding in _thermometer(name, one)]
     findings = (*temperature_findings(result, thermometers), *base.assessment.findings)
-    stated = {} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"}
+    stated = stated_options(options) | ({} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"})
     return _assessed(result, findings, [source for one in recordings for source in one.sources], stated)
 
 
@@ -142,6 +147,8 @@ def _turned(
     samples: Sequence[ImuSamples],
     names: Sequence[str],
     reference_degc: float,
+    *,
+    options: ImuOptions,
     tell: Progress,
 ) -> TurnedRecordings | None:
     """Return what the recordings tell in which the sensor is turned; None where these are too few."""
@@ -152,7 +159,7 @@ def _turned(
     degc = (np.array(low) + np.array(high)) / 2
     return fit_turned(
         [recordings[i] for i in which], [names[i] for i in which], degc, reference_degc,
-        supported=supported_order(float(np.ptp(degc)), max(step)), progress=tell,
+        options=options, supported=supported_order(float(np.ptp(degc)), max(step)), progress=tell,
     )  # fmt: skip
 
 

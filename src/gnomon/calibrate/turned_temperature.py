@@ -84,13 +84,14 @@ class TurnedRecordings:
 
 def fit_turned(
     recordings: Sequence[Recording], names: Sequence[str], degc: Floats, reference_degc: float, *,
-    supported: int, progress: Progress,
+    options: ImuOptions, supported: int, progress: Progress,
 ) -> TurnedRecordings:  # fmt: skip
     """Calibrate each recording, and find how the scalars follow the temperature.
 
     Parameters
     ----------
     degc : (k,) of each recording [degC]
+    options : of each calibration
     supported : highest order that the range supports
 
     Raises
@@ -105,7 +106,7 @@ def fit_turned(
             f"the recordings in which the sensor is turned are at {told} degC. Sensitivities need "
             f"{FEWEST_TEMPERATURES} temperatures or more, {_APART_K:g} K or more apart."
         )
-    results = calibrated_alike(recordings, names, ImuOptions(), progress, calibrate_imu)
+    results = calibrated_alike(recordings, names, options, progress, calibrate_imu)
     progress("joining the recordings over the temperature")
     scalars = scalars_of([result.calibration for result in results], names)
     at = np.flatnonzero(scalars.estimated)

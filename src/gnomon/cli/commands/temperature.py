@@ -42,6 +42,12 @@ class Temperature(Command, TableOptions):
     """Calibration of the sensor, to which the temperature is added: a calibration.yaml or a result's folder."""
     reference_degc: float | None = None
     """Temperature of the chip at which that calibration was made (default: as it states; without one the middle)."""
+    gravity: float | None = None
+    """Local gravity in m/s^2 of recordings in which the sensor is turned, where you know it."""
+    latitude: float | None = None
+    """Latitude in degrees, from which normal gravity (WGS 84) is computed, unless it is stated."""
+    altitude: float = 0.0
+    """Height above the ellipsoid in metres, used with --latitude."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml and report.html (default: NAME-temperature beside the first recording)."""
     report: Report = True
@@ -51,16 +57,18 @@ class Temperature(Command, TableOptions):
         from ...calibrate.temperature import calibrate_temperature
         from ...formats.own.calibration_file import load
         from ...formats.own.calibration_text import save
+        from ...options import ImuOptions
         from ...readers.recordings import read, recordings_in
         from ...report.temperature import write_temperature_report
 
+        options = ImuOptions(gravity=self.gravity, latitude=self.latitude, altitude=self.altitude)
         folder = self.output or default_folder(self.recordings[:1], "temperature")
         known = None if self.calibration is None else load(self.calibration)
         with result_folder(folder, "temperature", own=FILES) as staging:
             terminal.progress("reading the recordings")
             recordings = [read(path, **self.table) for named in self.recordings for path in recordings_in(named)]
             result = calibrate_temperature(
-                recordings, known, reference_degc=self.reference_degc, progress=terminal.progress
+                recordings, known, reference_degc=self.reference_degc, options=options, progress=terminal.progress
             )
             save(result.calibration, staging / FILES[0])
             if self.report:
