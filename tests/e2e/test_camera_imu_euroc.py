@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gnomon
 from camera_imu_rig import KALIBRS_WEIGHTS, Rig, degrees_between, rms
 from gnomon import CameraImuOptions, calibrate_camera_imu
+from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.recording import Recording, TriadSamples
 
@@ -200,6 +201,13 @@ def part(recording, first_s, last_s):
         )
     samples_of_both = {triad: samples(getattr(imu, triad)) for triad in ("accelerometer", "gyroscope")}
     return Recording(imus={"imu0": replace(imu, **samples_of_both)}, cameras=cameras, sources=recording.sources)
+
+
+def test_seconds_of_a_global_shutter_are_not_told_to_roll(euroc_recording):
+    recording, target = euroc_recording
+    for first_s in (18.2, 19.3, 20.1):  # errors of the lens that last look like 2 ms from the first row to the last
+        few = check_corners(part(recording, first_s, first_s + 6.0), target)
+        assert "rolling-shutter" not in {finding.code for finding in few}
 
 
 @pytest.mark.slow

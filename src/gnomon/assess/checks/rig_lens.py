@@ -24,6 +24,7 @@ from ...results.result import Booleans
 _FEWEST_FRAMES, _ENOUGH_FRAMES = 30, 250
 _LONGEST_S = 0.35
 _ROUNDS, _ROBUST = 3, 4.0
+_BLOCK_S = 0.5
 _SIGMAS = 6.0
 _ROLLING_S = 1e-3  # from the first row to the last: lenses that are not quite their model ask for half of it
 _BORDER_PX = 1.5
@@ -226,7 +227,7 @@ def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Boolean
     residual, by_pose, by_cause, seen = _linearised(poses, camera, target, _Corners(frame, points, pixels))
     weight = seen.astype(np.float64)
     starts = np.flatnonzero(np.concatenate([[True], np.diff(frame) > 0]))
-    solution, covariance, free, left = np.zeros(8), np.zeros((8, 8)), residual, residual
+    solution, covariance, causes, free, left = np.zeros(8), np.zeros((8, 8)), by_cause, residual, residual
     for _ in range(_ROUNDS):
         left = _without_poses(residual[:, :, None], by_pose, weight, starts, frame)[:, :, 0]
         causes = _without_poses(by_cause, by_pose, weight, starts, frame)
@@ -237,6 +238,7 @@ def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Boolean
         weight = (seen & (size < _ROBUST * usual * np.sqrt(2))).astype(np.float64)
     used = weight > 0
     sigma = np.sqrt(np.diag(covariance) * (free[used] ** 2).mean())
+    sigma = np.maximum(sigma, _jackknife(causes * np.sqrt(weight)[:, None, None], free, covariance, poses.t_s[frame]))
     border = _border(pixels[used], camera)
     grid = target.kind == "aprilgrid"
     return LensFit(
@@ -321,6 +323,23 @@ def _solved(causes: Floats, left: Floats, weight: Floats) -> tuple[Floats, Float
     scale = 1 / np.sqrt(np.diag(gram))
     inverse = np.linalg.inv(gram * np.outer(scale, scale)) * np.outer(scale, scale)
     return inverse @ (columns.T @ (both * right)), inverse
+
+
+def _jackknife(causes: Floats, left: Floats, covariance: Floats, t_s: Floats) -> Floats:
+    """Return the causes' sigmas by how much each half second moves them: errors of a lens last as long as the view.
+
+    Of few half seconds they are larger, so that `_SIGMAS` of them are as rare as of a normal distribution (Student's t
+    by Abramowitz and Stegun, 26.7.5).
+    """
+    starts = np.flatnonzero(np.diff(np.floor((t_s - t_s[0]) / _BLOCK_S), prepend=-1.0))
+    scale = np.sqrt(np.diag(covariance))
+    columns = causes * scale
+    score = np.add.reduceat(np.einsum("nik,ni->nk", columns, left), starts)
+    gram = np.add.reduceat(np.einsum("nik,nil->nkl", columns, columns), starts)
+    others = np.linalg.inv(covariance / np.outer(scale, scale)) - gram
+    moves = np.linalg.solve(others, score[:, :, None])[:, :, 0]
+    rare = 1 + (_SIGMAS**2 + 1) / (4 * max(len(starts) - 1, 1))
+    return rare * scale * np.sqrt((1 - 1 / len(starts)) * (moves**2).sum(axis=0))
 
 
 def _border(pixels: Floats, camera: Camera) -> Floats:
