@@ -117,7 +117,7 @@ class Coach:
     """The triad that tells motion from rest."""
     unwanted = "magnetometer"
     """The stream that is not recorded: of a folder, gnomon's commands read two files."""
-    kept_with_array = 500_000
+    remembered = 500_000
     """How many samples of a triad are looked at, at least; up to twice as many are kept."""
 
     def __init__(self, use: Use, stated: Units | None = None) -> None:
@@ -140,7 +140,7 @@ class Coach:
         self._named |= dict(named)
         for name, block in blocks.items():
             self._triads[name].append_block(block)
-            self._triads[name].keep_last(self.kept_with_array)
+            self._triads[name].keep_last(self.remembered)
             if name == self.leading and len(block) and self._first_ns is None:
                 self._first_ns = int(block.t_ns[0])
 

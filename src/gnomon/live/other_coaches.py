@@ -64,7 +64,7 @@ class MagnetometerCoach(Coach):
 class NoiseCoach(Coach):
     """Watches a sensor that is to be left alone, and says when somebody touched it."""
 
-    kept_with_array = 20_000
+    remembered = 20_000
     _touched_s = 0.0
 
     def _is_due(self, seconds: float, still_s: float) -> bool:

@@ -42,7 +42,7 @@ class MotionCoach(Coach):
     up : (k, 3) directions in the IMU that pointed up, means of a second each, each unlike the others
     """
 
-    kept_with_array = 20_000
+    remembered = 20_000
 
     def __init__(self, use: Use, stated: Units | None = None) -> None:
         super().__init__(use, stated)

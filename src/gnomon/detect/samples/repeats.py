@@ -20,7 +20,7 @@ _SMALL = 0.1  # quantile of changes
 _LOOKED_AT = 10_000  # changes, about, that tell it
 _SAME = 1e-9  # step [unit] of readings of which no change was seen
 _MOST_OFFSETS = 16
-_MOST_KEPT = 1 << 19  # stretches that are kept_with_array of a long recording
+_MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
 _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
 _COLUMNS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93)
 

@@ -90,8 +90,8 @@ def robust_covariance(
     number = {path: k for k, path in enumerate(dict.fromkeys(paths))}
     block = np.array([number[path] for path in paths])
     estimated = np.diag(ordinary) > 0
-    kept_with_array = correlation_time(sums, jacobian, block)
-    phases, length = group_into_clusters(sums, kept_with_array)
+    remembered = correlation_time(sums, jacobian, block)
+    phases, length = group_into_clusters(sums, remembered)
     found = robust_variances(phases, jacobian, block)
     if not widened:
         found = replace(found, factor=np.ones_like(found.factor))
@@ -104,7 +104,7 @@ def robust_covariance(
     return RobustCovariance(
         covariance=covariance,
         trust=Trust(
-            clusters=Clusters(count=found.clusters, length_s=length * spacing, memory_s=kept_with_array * spacing)
+            clusters=Clusters(count=found.clusters, length_s=length * spacing, memory_s=remembered * spacing)
             if widened
             else None,
             names=tuple(np.array(names, dtype=object)[estimated]),
