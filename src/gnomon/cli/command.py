@@ -113,8 +113,8 @@ class FromScenario(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CertificateFacts:
-    """What a certificate says of the sensor and of the measurement; kept with the result."""
+class StatedFacts:
+    """What a certificate says of the sensor and of who measured; kept with the result."""
 
     sensor: str | None = None
     """Name of the sensor, for the certificate."""
@@ -126,12 +126,8 @@ class CertificateFacts:
     """Who measured."""
     place: str | None = None
     """Where it was measured."""
-    temperature_c: float | None = None
-    """Temperature of the measurement in degrees Celsius."""
 
     def __post_init__(self) -> None:
-        if self.temperature_c is not None and not -273.15 <= self.temperature_c < 1e4:
-            raise OptionError(f"temperature_c {self.temperature_c} is no temperature in degrees Celsius.")
         try:
             datetime.date.fromisoformat(self.date or "2000-01-01")
         except ValueError:
@@ -140,7 +136,20 @@ class CertificateFacts:
     @property
     def stated(self) -> dict[str, Any]:
         """The same as a mapping; None for what was not stated."""
-        return {field.name: getattr(self, field.name) for field in fields(CertificateFacts)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateFacts(StatedFacts):
+    """The same with the temperature of the measurement."""
+
+    temperature_c: float | None = None
+    """Temperature of the measurement in degrees Celsius."""
+
+    def __post_init__(self) -> None:
+        if self.temperature_c is not None and not -273.15 <= self.temperature_c < 1e4:
+            raise OptionError(f"temperature_c {self.temperature_c} is no temperature in degrees Celsius.")
+        super().__post_init__()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,22 +1,26 @@
 """What options name: other calibrations of the sensor, the use that is judged for, files beside a recording."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import OptionError, RecordingError
 from ..models.lens_names import PROGRAMS
-from .command import Command
+from .command import Command, StatedFacts
 from .parsing.arguments import command_entries
 
 if TYPE_CHECKING:
+    from ..assess.comparison.comparison import Comparison
+    from ..assess.comparison.verification import Verification
     from ..models.noise import ImuNoise
     from ..options.requirements import Use
     from ..recording import Recording, Source
     from ..results.calibration import Calibration
     from ..results.result import Result
+
+Judged = TypeVar("Judged", "Comparison", "Verification")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +147,22 @@ def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
     calibration = result.calibration
     provenance = replace(calibration.provenance, options={**calibration.provenance.options, **stated})
     return replace(result, calibration=replace(calibration, provenance=provenance))
+
+
+def with_statements(found: Judged, facts: StatedFacts, paths: Iterable[Path]) -> Judged:
+    """Return it with what a certificate says: what was stated, and the files of the calibrations."""
+    from ..formats.own.calibration_file import calibration_at
+    from ..readers.files import file_source
+
+    stated = {name: str(value) for name, value in facts.stated.items() if value is not None}
+    inputs = list(found.provenance.inputs)
+    for path in paths:
+        file = Path(calibration_at(path))
+        if file.is_file():
+            called = f"{file.absolute().parent.name}/{file.name}" if file.name == "calibration.yaml" else file.name
+            inputs.append(replace(file_source(file), name=called))
+    made = found.provenance
+    return replace(found, provenance=replace(made, inputs=tuple(inputs), options={**made.options, **stated}))
 
 
 def remembered_reading(calibration: "Calibration", paths: Sequence[Path]) -> dict[str, Any]:

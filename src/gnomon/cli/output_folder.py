@@ -24,6 +24,7 @@ ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
 DEMO_RECORDING = "recording.npz"
 _TELLING = {
     "comparison.csv": "compare",
+    "comparison.json": "compare",
     "verification.json": "verify",
     "study.html": "study",
     "runs.journal": "study",

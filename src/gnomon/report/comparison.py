@@ -8,10 +8,11 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.comparison.comparison import Comparison, Difference, Repeatability
-from ..assess.comparison.comparison_words import block_words, shown_unit, typical_size
+from ..assess.comparison.comparison_words import block_words, shown_unit
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
+from .certificate.tables import certificate_tables
 from .drawing import svg
 from .drawing.figures import RIGHT, Plot, Sheet, draw_dots
 from .drawing.panel import Panel
@@ -25,6 +26,7 @@ from .page import (
     ReportPage,
     ReportTable,
     Section,
+    lift_figures,
     render_page,
     typeset_finding,
 )
@@ -45,7 +47,8 @@ def write_comparison_report(comparison: Comparison, path: str | Path) -> None:
 
 def comparison_page(comparison: Comparison) -> ReportPage:
     """Return the page of a comparison."""
-    sections = [_summary(comparison), _blocks(comparison), *_biases(comparison), *_lenses(comparison)]
+    details = [_blocks(comparison), *_biases(comparison), *_lenses(comparison), _calibrations(comparison)]
+    figures, folded = lift_figures([_summary(comparison), *details, _conventions(comparison)], ("agreement",))
     return ReportPage(
         title="Comparison of calibrations",
         subject=", ".join(one.name for one in comparison.calibrations),
@@ -53,7 +56,8 @@ def comparison_page(comparison: Comparison) -> ReportPage:
         headline=comparison.headline,
         key_numbers=_key_numbers(comparison),
         findings=tuple(typeset_finding(finding) for finding in comparison.findings),
-        sections=(*sections, _calibrations(comparison), _conventions(comparison)),
+        front=(*certificate_tables(comparison), *figures),
+        sections=folded,
         footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
     )
 
@@ -84,11 +88,7 @@ def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
 
 def _shown(block: Repeatability) -> tuple[float, str]:
     factor, unit = shown_unit(block.kind, block.unit)
-    return factor, _written(unit)
-
-
-def _written(unit: str) -> str:
-    return "°" if unit == "deg" else readable_unit(unit).replace("us", "µs")
+    return factor, readable_unit(unit)
 
 
 def _summary(comparison: Comparison) -> Section:
@@ -109,41 +109,9 @@ def _summary(comparison: Comparison) -> Section:
                 "sigmas. Hollow dots lie beyond the edge.",
             )
         )
-    blocks.append(_summary_table(comparison))
     if 2 < len(comparison.calibrations) <= _MOST_PAIRS:
         blocks.append(_pairs(comparison))
     return Section("agreement", "Agreement", blocks=blocks)
-
-
-def _summary_table(comparison: Comparison) -> ReportTable:
-    rows: list[tuple[str, ...]] = []
-    for block in comparison.blocks:
-        (scatter, unit), (predicted, _) = (typical_size(block, values) for values in (block.scatter, block.predicted))
-        z_rms = f"{number_text(block.z_rms, 3)} (≤ {number_text(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
-        held = f"held by {', '.join(block.assumed)}" if block.assumed else ""
-        note = ", ".join(part for part in ("" if block.judged else "not judged", held) if part)
-        rows.append(
-            (
-                block_words(block.path),
-                str(len(block.names)),
-                number_text(scatter, 2),
-                number_text(predicted, 2),
-                _written(unit),
-                z_rms,
-                note,
-            )
-        )
-    return ReportTable(
-        "Scatter against predicted sigma",
-        ("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
-        rows,
-        "Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, "
-        "of a lens over those in px. "
-        "z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas exceed in one of a "
-        "hundred comparisons.",
-        dense=True,
-        remarked=True,
-    )
 
 
 def _pairs(comparison: Comparison) -> ReportTable:
@@ -282,7 +250,7 @@ def _calibrations(comparison: Comparison) -> Section:
             one.format,
             one.verdict or MISSING,
             one.frame,
-            "exact" if one.exact else "stated" if one.sigmas else "not stated",
+            one.stated_sigmas,
             one.gravity.replace("m/s^2", "m/s²").replace("+-", "±") or MISSING,
             ", ".join(one.sensors),
             ", ".join(f"{source.name} ({source.sha256[:8]})" for source in one.inputs) or MISSING,

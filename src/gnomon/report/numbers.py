@@ -152,7 +152,7 @@ def readable_unit(unit: str) -> str:
     """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
     for plain, printed in _PRINTED:
         unit = unit.replace(plain, printed)
-    return unit
+    return {"deg": "°", "us": "µs"}.get(unit, unit)
 
 
 _MAGNITUDES = {"m/s^2": ("m/s²", 1.0), "rad/s": ("rad/s", 1.0), "uT": ("T", 1e-6)}

@@ -1,6 +1,7 @@
 """`gnomon compare`: where calibrations are found, how they are called, what is printed, and what is refused."""
 
 import contextlib
+import hashlib
 import io
 import json
 from dataclasses import replace
@@ -10,10 +11,15 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.assess.comparison.comparison_words import block_words
 from gnomon.cli import main
+from gnomon.cli.commands.compare import read_comparison
 from gnomon.cli.inputs import sources_of
+from gnomon.cli.terminal import json_value
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
+from gnomon.report.certificate.tables import certificate_tables
+from gnomon.report.numbers import MISSING
 from gnomon.results.calibration import TRUTH_METHOD
 from html_page import Page
 
@@ -24,6 +30,10 @@ def run(*arguments):
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(argument) for argument in arguments])
     return code, out.getvalue(), err.getvalue()
+
+
+def hash_of(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @pytest.fixture
@@ -59,6 +69,37 @@ def test_agreement_in_words_and_files(rig):
     before = {path.name: path.read_bytes() for path in (rig / "mon-gnomon-compare").iterdir()}
     assert run("compare", "mon-gnomon", "tue-gnomon")[0] == 0
     assert {path.name: path.read_bytes() for path in (rig / "mon-gnomon-compare").iterdir()} == before
+
+
+def test_a_comparison_is_read_again_and_has_a_certificate(rig):
+    code, out, err = run("compare", "mon-gnomon", "wed-gnomon", "kalibr", "--serial", "A-17", "--json", "-o", "out")
+    assert code == 4, err
+    known = read_comparison(rig / "out" / "comparison.json")
+    again = json.loads(out)
+    assert {key: again[key] for key in json_value(known)} == json_value(known)
+    assert known.blocks[0].values.shape == (len(known.blocks[0].names), len(known.blocks[0].elements))
+    hashes = {
+        f"{name}-gnomon/calibration.yaml": hash_of(rig / f"{name}-gnomon" / "calibration.yaml")
+        for name in ("mon", "wed")
+    }
+    assert {source.name: source.sha256 for source in known.provenance.inputs} == hashes
+    stated, compared, blocks, criteria = certificate_tables(known)
+    assert stated.rows == [("Serial number", "A-17")]
+    assert [row[2] for row in compared.rows] == ["stated", "stated", "not stated"]
+    assert [row[0] for row in blocks.rows] == [block_words(block.path) for block in known.blocks]
+    assert {block.path for block in known.blocks if not np.isfinite(block.z_rms)} == {
+        block.path for block, row in zip(known.blocks, blocks.rows, strict=True) if row[4] == MISSING
+    }
+    assert criteria.rows[criteria.marked][0] == "fail"
+    (rig / "out" / "comparison.json").write_text('{"verdict": "fine"}')
+    assert run("certificate", "out")[0] == 3
+
+
+def test_the_pdf_of_a_comparison(rig):
+    pytest.importorskip("matplotlib")
+    assert run("compare", "mon-gnomon", "wed-gnomon", "-o", "out")[0] == 4
+    assert run("certificate", "out", "-o", "out.pdf")[0] == 4
+    assert (rig / "out.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_with_the_truth_among_them_the_figure_shows_errors(rig, monkeypatch):

@@ -17,6 +17,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation, skew
 from ...models.camera import Camera
 from ...recording import Floats, Source, frozen_array
+from ...results.calibration import Provenance
 from ...results.trust import Verdict
 from .quantities import Kind
 
@@ -165,6 +166,11 @@ class ComparedCalibration:
     notes: tuple[str, ...]
     one_occasion: bool = False
 
+    @property
+    def stated_sigmas(self) -> str:
+        """Whether its standard deviations are "exact", "stated", or "not stated"."""
+        return "exact" if self.exact else "stated" if self.sigmas else "not stated"
+
 
 @value_class
 class Difference:
@@ -258,6 +264,7 @@ class Comparison:
     findings : what was noticed, worst first
     verdict : "pass": they agree; "warn": with reservations; "fail": they differ by more than the sigmas of both allow
     headline : the result in a sentence
+    provenance : what was stated for a certificate, and the files compared
     """
 
     calibrations: tuple[ComparedCalibration, ...]
@@ -273,6 +280,7 @@ class Comparison:
     findings: tuple[Finding, ...] = ()
     verdict: Verdict = "pass"
     headline: str = ""
+    provenance: Provenance = field(default_factory=lambda: Provenance(method="compare"))
 
     def difference(self, first: str, second: str, path: str) -> Difference:
         """Return how two calibrations differ on a block.

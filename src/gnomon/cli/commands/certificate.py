@@ -9,7 +9,7 @@ from ..command import CalibrationPath, Command, output_option
 from ..output_folder import default_folder
 from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
-from .verify import DATA, read_verification
+from . import compare, verify
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Certificate(Command):
     """
 
     calibration: CalibrationPath
-    """The folder of a result, or its calibration.yaml, noise.yaml or verification.json."""
+    """The folder of a result, or its calibration.yaml, noise.yaml, verification.json or comparison.json."""
     output: Annotated[Path | None, output_option("FILE")] = None
     """PDF or XML file to write (default: RESULT-certificate.pdf beside the result)."""
     country: str = "ZZ"
@@ -40,8 +40,9 @@ class Certificate(Command):
         from ...results.calibration import Calibration
 
         path = Path(calibration_at(self.calibration))
-        path = path / DATA if (path / DATA).is_file() else path
-        read_result = read_verification if path.name == DATA else load_noise if is_noise(path) else load
+        judged = {verify.DATA: verify.read_verification, compare.DATA: compare.read_comparison}
+        path = next((path / name for name in judged if (path / name).is_file()), path)
+        read_result = judged.get(path.name) or (load_noise if is_noise(path) else load)
         result = read_result(path)
         output = self.output or default_folder((self.calibration,), "certificate.pdf")
         if output.suffix.lower() == ".xml":

@@ -1,14 +1,15 @@
 """The command that compares calibrations."""
 
+import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ...errors import OptionError
-from ..command import Command, output_option
-from ..inputs import sources_of
+from ..command import Command, Flat, StatedFacts, output_option
+from ..inputs import sources_of, with_statements
 from ..output_folder import default_folder, owner_of, result_folder
 from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_files, print_findings, result_files
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from ...assess.comparison.comparison import Comparison, Repeatability
 
 
-PAGE, TABLE = "report.html", "comparison.csv"
+PAGE, TABLE, DATA = FILES = ("report.html", "comparison.csv", "comparison.json")
 _STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
 
 
@@ -43,9 +44,10 @@ class Compare(Command):
     temperature_c: float | None = None
     """Temperature of the chip at which those are compared that know it (default: the reference of each)."""
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
+    """Folder for report.html, comparison.csv and comparison.json (default: NAME-compare beside the first of them)."""
     report: bool = True
-    """Do not make the report, nor the table."""
+    """Do not make the report, nor the tables."""
+    certificate: Annotated[StatedFacts, Flat] = field(default_factory=StatedFacts)
 
     def __post_init__(self) -> None:
         for text in self.rename:
@@ -69,6 +71,7 @@ class Compare(Command):
         found = compare_calibrations(
             *(paths for _, paths in sources), names=names, rename=renames, temperature_c=self.temperature_c
         )
+        found = with_statements(found, self.certificate, [path for _, paths in sources for path in paths])
         folder = self.output or default_folder((_place(sources[0][1][0]),), "compare")
         if self.report:
             _write(found, folder, terminal)
@@ -91,10 +94,31 @@ def _write(found: "Comparison", folder: Path, terminal: Terminal) -> None:
     from ...report.comparison import write_comparison_report
     from ...writers.tables import comparison_csv
 
-    with result_folder(folder, "compare", own=(PAGE, TABLE)) as staging:
+    with result_folder(folder, "compare", own=FILES) as staging:
         terminal.progress("drawing the report")
         write_comparison_report(found, staging / PAGE)
         write_whole(staging / TABLE, comparison_csv(found))
+        write_whole(staging / DATA, json.dumps(json_value(found), indent=2).encode())
+
+
+def read_comparison(path: Path) -> "Comparison":
+    """Read comparison.json.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read, or an older version wrote it; the message names the key.
+    """
+    from ...assess.comparison.comparison import Comparison, Repeatability
+    from ...formats.shared.structured import Node, read_json
+    from ...formats.shared.typed_values import number_or_nan, read_class
+
+    unknown = {"z_rms": number_or_nan, "limit": number_or_nan}
+
+    def blocks(node: Node) -> tuple[Repeatability, ...]:
+        return tuple(read_class(item, Repeatability, own=unknown) for item in node.items())
+
+    return read_class(read_json(path), Comparison, own={**unknown, "blocks": blocks})
 
 
 def _print(found: "Comparison", terminal: Terminal) -> None:

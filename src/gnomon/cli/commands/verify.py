@@ -19,7 +19,7 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, read_use_option, sources_of
+from ..inputs import files_beside, read_use_option, sources_of, with_statements
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
@@ -83,7 +83,7 @@ class Verify(Command, TableOptions):
         recording, target = self._read(known, paths, terminal)
         print_assumptions(recording.assumptions, terminal)
         found = verify(known, recording, target, use=use, progress=terminal.progress)
-        found = self._stated(found, paths)
+        found = with_statements(found, self.certificate, paths)
         if self.report:
             _write(found, folder, terminal, f"{self.calibration}, verified by {self.recording.name}, for {found.use}")
         _print(found, terminal)
@@ -93,17 +93,6 @@ class Verify(Command, TableOptions):
         code = {"holds": USABLE, "moved": UNUSABLE, "cannot tell": UNTOLD}[found.state]
         terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code
-
-    def _stated(self, found: "Verification", paths: list[Path]) -> "Verification":
-        """Return it with what a certificate says: the calibration's files, too, and what was stated here."""
-        from ...formats.own.calibration_file import calibration_at
-        from ...readers.files import file_source
-
-        stated = {name: str(value) for name, value in self.certificate.stated.items() if value is not None}
-        frozen = [Path(calibration_at(path)) for path in paths]
-        made = found.provenance
-        inputs = (*made.inputs, *(file_source(path) for path in frozen if path.is_file()))
-        return replace(found, provenance=replace(made, inputs=inputs, options={**made.options, **stated}))
 
     def _read(
         self, known: "Calibration | ForeignCalibration", paths: list[Path], terminal: Terminal

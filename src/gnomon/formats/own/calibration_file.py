@@ -1,6 +1,5 @@
 """The top of gnomon's own calibration file, in YAML or in JSON."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,7 +38,7 @@ from ...results.sensors import TEMPERATURE_PARTS, TemperatureDependence
 from ...results.trust import VERDICTS, Need, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
-from ..shared.typed_values import read_class, read_typed
+from ..shared.typed_values import number_or_nan, read_class, read_typed
 
 COMMENT = "comment"
 _SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
@@ -199,7 +198,7 @@ def _by_camera(node: Node, cameras: tuple[str, ...], keys: Mapping[Any, tuple[st
     entries = {name: entry.mapping(every) for name, entry in node.mapping(cameras).items()}
 
     def read(value: Node, kind: Any) -> Any:
-        return _known(value) if kind is float else read_typed(value, kind)
+        return number_or_nan(value) if kind is float else read_typed(value, kind)
 
     return {
         key: {name: read(entry[key], kind) for name, entry in entries.items()}
@@ -219,17 +218,13 @@ def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
     keys = node.mapping(("converged", "board", "cameras"))
     board = keys["board"].mapping(("added", *BOARD_NUMBERS))
     kinds = {int: VIEW_COUNTS, float: VIEW_NUMBERS, tuple[str, ...]: ("models",)}
-    numbers: dict[str, Any] = {name: _known(board[name]) for name in BOARD_NUMBERS}
+    numbers: dict[str, Any] = {name: number_or_nan(board[name]) for name in BOARD_NUMBERS}
     return CamerasFit(
         **_by_camera(keys["cameras"], cameras, kinds),
         **numbers,
         board_added=read_typed(board["added"], tuple[str, ...]),
         converged=read_typed(keys["converged"], bool),
     )
-
-
-def _known(node: Node) -> float:
-    return math.nan if node.value is None else node.number()
 
 
 SCHEMA_MAJOR = 1
@@ -558,7 +553,7 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
         return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
     newer = ("rate_rms", "field_rms") if minor >= 2 else ()
     holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"), newer)
-    rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
+    rms = {name: number_or_nan(item) for name, item in holdout.items()}
     return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
 
 
@@ -581,7 +576,7 @@ def _trust(node: Node) -> UncertaintySummary:
     def needs(node: Node) -> tuple[Need, ...]:
         return tuple(read_class(item, Need, own={"sigma": _endless, "needed": _endless}) for item in node.items())
 
-    own = {"sigma_ratio": ratios, "split_z": _known, "needs": needs}
+    own = {"sigma_ratio": ratios, "split_z": number_or_nan, "needs": needs}
     return read_class(node, UncertaintySummary, optional=("recordings", "between", "changes"), own=own)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
+from math import nan
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -27,7 +28,7 @@ def read_class(
     Parameters
     ----------
     optional : fields that need not be stated; those with a default where None
-    own : field -> what reads it, where its type hint does not say all
+    own : field -> what reads it, where its type hint does not say all; fields that follow from others are left out
 
     Raises
     ------
@@ -36,10 +37,12 @@ def read_class(
     """
     types = get_type_hints(kind)
     entries = fields(kind)  # pyright: ignore[reportArgumentType]
+    derived = {one.name for one in entries if not one.init}
     if optional is None:
         optional = [one.name for one in entries if (one.default, one.default_factory) != (MISSING, MISSING)]
-    required = [one.name for one in entries if one.name not in optional]
-    keys = node.mapping(required, tuple(optional))
+    required = [one.name for one in entries if one.name not in derived.union(optional)]
+    found = node.mapping(required, (*optional, *derived))
+    keys = {name: item for name, item in found.items() if name not in derived}
     readers = {name: partial(read_typed, kind=types[name]) for name in keys} | dict(own)
     return kind(**{name: readers[name](item) for name, item in keys.items()})
 
@@ -68,8 +71,13 @@ def read_typed(node: Node, kind: Any) -> Any:
     return plain[origin or kind](node)
 
 
+def number_or_nan(node: Node) -> float:
+    """Return a number; nan where it says null."""
+    return nan if node.value is None else node.number()
+
+
 def _numbers(node: Node) -> Floats:
-    return np.array([item.number() for item in node.items()])
+    return np.array([_numbers(item) if isinstance(item.value, list) else number_or_nan(item) for item in node.items()])
 
 
 def _truth(node: Node) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...assess.comparison.comparison import Comparison
 from ...assess.comparison.verification import Verification
 from ...errors import OptionError, install_line
 from ...findings import printable_text
@@ -28,6 +29,7 @@ _COLUMNS = {
     3: (0.0, 0.72, 1.0),
     4: (0.0, 0.6, 0.82, 1.0),
     5: (0.0, 0.56, 0.74, 0.81, 1.0),
+    6: (0.0, 0.42, 0.56, 0.64, 0.82, 1.0),
     7: (0.0, 0.36, 0.58, 0.70, 0.815, 0.91, 1.0),
 }
 """Number of columns -> where they begin, or end where they hold numbers, in widths of the text."""
@@ -39,7 +41,7 @@ _SIZE, _SMALL = 9.0, 7.8
 
 
 def write_certificate(result: Certified, path: str | Path) -> None:
-    """Write the certificate of a calibration, or of noise or a verification, which have no budget.
+    """Write the certificate of a calibration, or of noise, a verification or a comparison, which have no budget.
 
     The same one gives the same bytes.
 
@@ -79,13 +81,15 @@ class _Sheet:
         verdict, provenance, title = result.verdict, result.provenance, "Calibration certificate"
         findings = result.assessment.findings if isinstance(result, Calibration) else result.findings
         if isinstance(result, Verification):
-            title, headline = "Certificate of verification", f"{result.headline}."
+            title, headline = "Certificate of verification", f"{result.headline[:1].upper()}{result.headline[1:]}."
+        elif isinstance(result, Comparison):
+            title, headline = "Certificate of comparison", result.headline
         elif isinstance(result, SensorNoise):
             title, headline = "Certificate of noise", NOISE_HEADLINES[verdict]
         else:
             headline = HEADLINES[verdict]
         self._text(title, size=18, bold=True, step=2.2)
-        for line in textwrap.wrap(f"{verdict.capitalize()}. {headline[:1].upper()}{headline[1:]}", 76):
+        for line in textwrap.wrap(f"{verdict.capitalize()}. {headline}", 76):
             self._text(line, size=12, color=_TONES[verdict], bold=True, step=1.3)
         self._y -= 0.5 * _LINE
         pressing = [f for f in findings if f.severity in ("warning", "problem")]
@@ -98,6 +102,8 @@ class _Sheet:
         self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
         for source in provenance.inputs[:5]:
             self._wrapped(f"Input {source.name}, SHA-256 {source.sha256}")
+        if (more := len(provenance.inputs) - 5) > 0:
+            self._wrapped(f"{more} more inputs and their hashes are in the stored result.")
         self._wrapped(f"Made by gnomon {provenance.gnomon_version}, method {provenance.method}.")
 
     def fill_budget(self, calibration: Calibration) -> None:

@@ -2,7 +2,10 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from math import isfinite
 
+from ...assess.comparison.comparison import Comparison
+from ...assess.comparison.comparison_words import block_words, typical_size
 from ...assess.comparison.verification import Verification, movement_words
 from ...assess.uncertainty_budget import uncertainty_budget
 from ...frozen import FrozenMapping
@@ -25,7 +28,7 @@ STATED: Mapping[str, str] = FrozenMapping(
 )
 """Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
 BUDGET_TITLE = "Where the uncertainty comes from"
-Certified = Calibration | SensorNoise | Verification
+Certified = Calibration | SensorNoise | Verification | Comparison
 _HEAD = ("", "estimate", "U = 2σ", "unit")
 _EXPANDED = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %)."
 _MOST = 14
@@ -37,12 +40,19 @@ _CRITERIA = (
     ("warn", "usable, with the reservations named under What to do"),
     ("fail", "at least one finding says not to use it"),
 )
+_AGREEMENT = (
+    ("pass", "they differ by no more than chance"),
+    ("warn", "they agree, with the reservations named under What to do"),
+    ("fail", "two of them differ by more than the standard deviations of both allow"),
+)
 
 
 def certificate_tables(result: Certified) -> tuple[ReportTable, ...]:
     """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
     if isinstance(result, Verification):
         numbers = [_blocks(result)]
+    elif isinstance(result, Comparison):
+        numbers = [_compared(result), _scatter(result)]
     elif isinstance(result, SensorNoise):
         numbers = [_noise_numbers(result)]
     else:
@@ -99,6 +109,33 @@ def _blocks(verification: Verification) -> ReportTable:
         "2, about 95 %). z: standard deviations of a single number that are as improbable; from "
         f"{verification.certain_z:.1f} on a block moved for certain. Biases are new at each start: their ± includes "
         "what is usual.",
+    )
+
+
+def _compared(comparison: Comparison) -> ReportTable:
+    rows = [(one.name, one.format, one.stated_sigmas, one.verdict or MISSING) for one in comparison.calibrations]
+    return ReportTable("What was compared", ("name", "format", "standard deviations", "verdict"), rows, prose=True)
+
+
+def _scatter(comparison: Comparison) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    every = len(comparison.calibrations)
+    for block in comparison.blocks:
+        (scatter, unit), (predicted, _) = (typical_size(block, values) for values in (block.scatter, block.predicted))
+        z_rms = f"{number_text(block.z_rms, 3)} (≤ {number_text(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
+        notes = ["not judged"] * (not block.judged) + [f"by {len(block.names)} of {every}"] * (len(block.names) < every)
+        notes += [f"held by {', '.join(block.assumed)}"] * bool(block.assumed)
+        sizes = (number_text(scatter, 2), number_text(predicted, 2), readable_unit(unit))
+        rows.append((block_words(block.path), *sizes, z_rms, ", ".join(notes)))
+    return ReportTable(
+        "Scatter against predicted sigma",
+        ("block", "scatter", "predicted σ", "unit", "z rms", ""),
+        rows,
+        "Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, of a lens "
+        "over those in px. z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas "
+        "exceed in one of a hundred comparisons. Biases are new at each start, and not judged.",
+        dense=True,
+        remarked=True,
     )
 
 
@@ -208,11 +245,12 @@ def budget_table(calibration: Calibration) -> ReportTable:
 
 
 def _criteria(calibration: Certified) -> ReportTable:
-    verdict = [name for name, _ in _CRITERIA].index(calibration.verdict)
+    criteria = _AGREEMENT if isinstance(calibration, Comparison) else _CRITERIA
+    verdict = [name for name, _ in criteria].index(calibration.verdict)
     return ReportTable(
         "What the verdict means",
         ("verdict", "criterion"),
-        _CRITERIA,
+        criteria,
         "Each finding has its limit, listed with the symptoms of the documentation.",
         marked=verdict,
         prose=True,
