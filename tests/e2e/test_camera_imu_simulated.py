@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gnomon
 from camera_imu_truth import cramer_rao_sigma, errors, turned
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
 from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 
@@ -356,6 +357,17 @@ def test_saturated_samples_are_masked():
     assert_right(result, found)
     fit = result.diagnostics.signals["imu0.gyroscope"]
     assert not fit.used[(np.abs(rate) >= 1.2).any(axis=1)].any()
+
+
+def test_samples_clipped_at_a_range_that_is_not_stated_are_masked_too():
+    """With lever arms, which the default model has, those of the accelerometer that were taken meanwhile are masked."""
+    simulation = simulated(gyroscope_range=1.2)
+    clipped = (np.abs(simulation.recording.imus["imu0"].gyroscope.values) >= 1.2).any(axis=1)
+    prepared = prepare_camera_imu(simulation.recording, simulation.target, CameraImuOptions())
+    for triad in ("gyroscope", "accelerometer"):
+        (used,) = (part.used for data in prepared.inertial if (part := getattr(data, triad)) is not None)
+        assert not used[clipped].any()
+        assert used[~clipped].all()
 
 
 def test_turning_over_and_over():

@@ -361,7 +361,8 @@ def _inertial(
     named = any("lever_arms" in name for name in (*options.free, *options.prior))
     if (options.model == "auto" or named) and clipped[0].any():
         # With lever arms an accelerometer feels the angular acceleration, of which nothing is known there.
-        clipped[1] |= np.interp(accelerometer.t_ns - origin, gyroscope.t_ns - origin, clipped[0]) > 0
+        near = np.interp(accelerometer.t_ns - origin, gyroscope.t_ns - origin, clipped[0]) > 0
+        clipped[1] = clipped[1] | near
     triads = [
         TriadData(values=samples.values, used=~mask)
         for samples, mask in zip((gyroscope, accelerometer), clipped, strict=True)
