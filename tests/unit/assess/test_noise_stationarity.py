@@ -41,6 +41,18 @@ def test_noise_that_stays_is_not_warned_of() -> None:
         assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.05 * N
 
 
+def test_samples_that_fill_in_for_lost_ones_are_named() -> None:
+    """Five at a time repeat the last one: 6 % of all, which makes the white noise 15 % larger; coarse steps do not."""
+    values, rng = at_rest(), np.random.default_rng(1)
+    coarse = np.rint(values / values.std()) * values.std()
+    assert "noise-repeated" not in identified(coarse)[1]
+    for first in np.flatnonzero(rng.random(len(values) - 5) < 0.012) + 1:
+        values[first : first + 5] = values[first - 1]
+    noise, codes = identified(values)
+    assert codes["noise-repeated"] == "warning"
+    assert noise.gyroscope.axes[0].white_noise.value > 1.1 * N
+
+
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_a_level_that_grows_widens_its_sigma(factor) -> None:
     values = at_rest()

@@ -338,7 +338,7 @@ def _cost(design: Floats, read: Floats, weight: Floats) -> float:
 _LONGEST_S = 0.2
 _RIG_FRAMES_FEWEST = 60
 _PRIOR_S = 0.03
-_NEIGHBOURS = 11
+_NEIGHBOURS, _NEAR = 11, 21  # frames of which some may be late, and steps of which most are not
 _TURNING_RAD_S = 0.3
 _ITERATIONS = 4
 _GAP_PERIODS = 3.5
@@ -354,6 +354,7 @@ class FrameTimes:
     late_s : (n,) by which each timestamp is late, less the median [s]
     alone_s : (n,) the same, less that of its neighbours [s]
     sigma_s : (n,) its standard deviation; large where the camera hardly turned [s]
+    scatter : (n,) by how much more rotations near it scatter across their axis than most do, at least 1
     turns : of the board, about each frame
     differs_rad : (n - 1, 3) rotation between frames that the gyroscope read and the camera did not see
     change_rad_s : (n - 1, 3) by which the rate changed meanwhile; zero where the frames are not compared
@@ -363,6 +364,7 @@ class FrameTimes:
     late_s: Floats
     alone_s: Floats
     sigma_s: Floats
+    scatter: Floats
     turns: BoardTurns
     differs_rad: Floats
     change_rad_s: Floats
@@ -406,13 +408,14 @@ def frame_times(
     errors, by_change = _errors_of_rate(stream, t_s, rate, differs, close)
     corrected = rotvec_from_rotation(turned_back @ _turned(stream.t_s, stream.rate - errors, t_s)[1])
     sigma = _noise(differs[close], 0.5 * (rate[1:] + rate[:-1])[close])
-    late, sigma_s = _lateness(differs, rate, close, sigma)
-    ends = np.pad(late, _NEIGHBOURS // 2, mode="edge")
+    late, sigma_s, rest = _lateness(differs, rate, close, sigma)
+    local = _running_median(rest[close], _NEAR) / np.sqrt(2 * np.log(2))  # of the two axes across
     return FrameTimes(
         t_s=t_s - t_s[0],
         late_s=late - np.median(late),
-        alone_s=late - np.median(sliding_window_view(ends, _NEIGHBOURS), axis=1),
+        alone_s=late - _running_median(late, _NEIGHBOURS),
         sigma_s=sigma_s,
+        scatter=np.interp(np.arange(len(t_s)), np.flatnonzero(close) + 0.5, np.maximum(local, 1.0)),
         turns=board_turns(t_s - axes.delay_s, poses, corrected - np.diff(rate, axis=0) @ by_change, compared),
         differs_rad=differs,
         change_rad_s=np.diff(rate, axis=0) * close[:, None],
@@ -453,9 +456,14 @@ def _noise(differs: Floats, rate: Floats) -> float:
     return max(float(np.median(np.linalg.norm(across, axis=1))) / np.sqrt(2 * np.log(2)), 1e-6)
 
 
-def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
-    """Return by how much each frame is late, with its sigma, by a robust banded least squares."""
-    weight = close / sigma**2
+def _running_median(values: Floats, count: int) -> Floats:
+    """Return the medians of as many values about each; the ends go on as they are."""
+    return np.median(sliding_window_view(np.pad(values, count // 2, mode="edge"), count), axis=1)
+
+
+def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) -> tuple[Floats, Floats, Floats]:
+    """Return by how much each frame is late, with its sigma, and what is left, by a robust banded least squares."""
+    weight, rest = close / sigma**2, np.zeros(len(differs))
     late, diagonal = np.zeros(len(rate)), np.ones(len(rate))
     square = (rate * rate).sum(axis=1)
     cross = (rate[1:] * rate[:-1]).sum(axis=1)
@@ -471,7 +479,7 @@ def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) ->
         late = np.asarray(solveh_banded(banded, right), dtype=np.float64)
         rest = np.linalg.norm(differs - rate[1:] * late[1:, None] + rate[:-1] * late[:-1, None], axis=1) / sigma
         weight = close / sigma**2 * np.minimum(1.0, 4.0 / np.maximum(rest, 1e-9)) ** 2
-    return late, 1 / np.sqrt(diagonal)
+    return late, 1 / np.sqrt(diagonal), rest
 
 
 def _errors_of_rate(

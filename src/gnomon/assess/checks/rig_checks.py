@@ -255,7 +255,7 @@ def _late(name: str, times: FrameTimes) -> list[Finding]:
     if certain.sum() < _FEWEST_FRAMES:
         return []
     off = np.abs(times.alone_s[certain])
-    late = off > np.maximum(_LATE_S, _LATE_SIGMAS * times.sigma_s[certain])
+    late = off > np.maximum(_LATE_S, _LATE_SIGMAS * (times.sigma_s * times.scatter)[certain])
     share = float(late.mean())
     if late.sum() < _FEWEST_LATE or share < _LATE_SHARE:
         return []

@@ -23,7 +23,7 @@ _STEP = 12.0  # usual differences of neighbouring means
 _SPANS = (1, 10, 60)  # windows in a mean
 _SHARE, _NOTABLE = 0.05, 0.005  # of the squares that disturbances may add
 _LOST_SHARE, _LOST_MOST = 1e-3, 0.1
-_REPEATED = 0.2
+_REPEATED = (0.2, 0.02)  # of the samples; and more than by chance, which moves the white noise by a few percent
 _COARSE = 0.5  # steps of the converter in a standard deviation
 
 
@@ -199,8 +199,8 @@ def check_samples(table: RestTable, step: Floats, sensor: str) -> list[Finding]:
                 longest_gap_at_s=table.longest_gap_at_s,
             )
         )
-    if table.repeats > _REPEATED:
-        findings.append(make_finding("noise-repeated", sensor=sensor, repeats=table.repeats))
+    if any(share > limit for share, limit in zip(table.repeats, _REPEATED, strict=True)):
+        findings.append(make_finding("noise-repeated", sensor=sensor, repeats=table.repeats[0]))
     sigma = np.sqrt(np.median(table.variance, axis=0))
     coarse = sigma < _COARSE * np.where(np.isfinite(step), step, 0.0)
     if coarse.any():

@@ -33,7 +33,7 @@ class RestTable:
     gaps : number of gaps
     lost : samples that are missing in them, about
     longest_gap_s, longest_gap_at_s : how long the longest one is, and where it begins [s from the origin]
-    repeats : share of the samples that repeat the one before in all axes
+    repeats : share of the samples that repeat the one before in all axes, and by how much it is more than by chance
     """
 
     t_s: Floats
@@ -50,7 +50,7 @@ class RestTable:
     lost: int
     longest_gap_s: float
     longest_gap_at_s: float
-    repeats: float
+    repeats: tuple[float, float]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -80,7 +80,7 @@ class RestWatch:
     _gap_ns: float = 0.0
     _lost: float = 0.0
     _longest: tuple[float, int] = (0.0, 0)
-    _repeats: int = 0
+    _repeats: Floats = field(default_factory=lambda: np.zeros(4))
     _window: int = 0
     _rest: Floats = field(default_factory=lambda: np.empty((0, 3)))
     _rest_t: Integers = field(default_factory=lambda: np.empty(0, np.int64))
@@ -95,7 +95,7 @@ class RestWatch:
         self._stamps(block.t_ns)
         values = np.concatenate([self._previous, block.values])
         same = values[1:] == values[:-1]
-        self._repeats += int(np.count_nonzero(same[:, 0] & same[:, 1] & same[:, 2]))
+        self._repeats += [*same.sum(axis=0), np.count_nonzero(same[:, 0] & same[:, 1] & same[:, 2])]
         self._previous = block.values[-1:]
         self._windows(block)
         self._keep(block)
@@ -166,6 +166,7 @@ class RestWatch:
     def table(self) -> RestTable:
         """Return what was seen."""
         rows = np.concatenate([np.empty((0, 19)), *self._rows])
+        *axes, repeats = (self._repeats / max(self.samples - 1, 1)).tolist()
         span = 0.0 if self._last is None else float(self._last - self._first)
         steps = self.samples - 1 - self._gaps
         duration = span - self._gap_ns
@@ -184,7 +185,7 @@ class RestWatch:
             lost=round(self._lost),
             longest_gap_s=self._longest[0] * 1e-9,
             longest_gap_at_s=self._longest[1] * 1e-9,
-            repeats=self._repeats / max(self.samples - 1, 1),
+            repeats=(repeats, repeats - float(np.prod(axes))),
         )
 
 

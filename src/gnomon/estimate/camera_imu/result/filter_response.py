@@ -6,7 +6,7 @@ accelerometer; q is held at zero, and tested by the step that it would take if i
 """
 
 from dataclasses import replace
-from math import ceil
+from math import ceil, erfc, exp, pi, sqrt
 
 import numpy as np
 
@@ -23,13 +23,14 @@ from .uncertainty import FilteredTriad, Uncertainty
 
 _LEAST_APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
 _ASKED = 3.0  # sigmas
+_SHARE, _USUAL_S2 = 0.2, 32e-6  # of triads that have a filter, and its q: that of 20 Hz
 _LEAST_SHARE = 1e-6  # of x'' that the rest must leave
 _HELD = {"gravity.magnitude": 0.02, "target.scale": 3e-3}  # m/s^2, 1; what is held may be off by, and feigns a filter
 _SHAPES = (("S_g", "M_g", "q_bg"), ("S_a", "M_a"))
 
 
 def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
-    """Return the uncertainty with that by filters which the readings prove (Schmidt).
+    """Return the uncertainty with that by filters, by how likely they are (Schmidt), and name those that are proved.
 
     Only triads whose scales and axes are estimated are looked at: errors of these look like x'', too. So do those of
     gravity and of the board's size, which may move along by what they usually are off.
@@ -59,8 +60,23 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
         if q > _ASKED * sigma:
             moved = float(np.max(np.abs(q * along) / sigmas))
             filters.append(FilteredTriad(imu=k // 2, kind=k % 2, q=float(q), sigma=sigma, moved=moved))
-            added += np.outer(along, along) * q**2
+        added += np.outer(along, along) * expected_square(q, sigma)
     return replace(found, covariance=found.covariance + added, ordinary=found.ordinary + added, filters=tuple(filters))
+
+
+def expected_square(q: float, sigma: float) -> float:
+    """Return the expected q^2 [s^4] of a triad that may be filtered or not, after q was found with this sigma [s^2].
+
+    Before, it is filtered with the probability `_SHARE`, by a q that is half-normal, of `_USUAL_S2`; else q is zero
+    (Mitchell and Beauchamp 1988). So a filter that is told by two sigmas is in the covariance by half, one that is
+    contradicted not at all.
+    """
+    shrunk = 1 / (1 + (sigma / _USUAL_S2) ** 2)
+    y = q / sigma * sqrt(shrunk)
+    positive = erfc(-y / sqrt(2)) / 2
+    odds = _SHARE / (1 - _SHARE) * 2 * sqrt(1 - shrunk) * exp(min(y**2, 900.0) / 2) * positive
+    if_filtered = sigma**2 * shrunk * (1 + y**2 + y * exp(-(y**2) / 2) / (sqrt(2 * pi) * positive))
+    return odds / (1 + odds) * if_filtered
 
 
 @value_class
