@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..results.calibration import Calibration
     from ..results.result import Result
 
-Judged = TypeVar("Judged", "Comparison", "Verification")
+Certified = TypeVar("Certified", "Calibration", "Comparison", "Verification")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
     return replace(result, calibration=replace(calibration, provenance=provenance))
 
 
-def with_statements(found: Judged, facts: StatedFacts, paths: Iterable[Path]) -> Judged:
+def with_statements(found: Certified, facts: StatedFacts, paths: Iterable[Path] = ()) -> Certified:
     """Return it with what a certificate says: what was stated, and the files of the calibrations."""
     from ..formats.own.calibration_file import calibration_at
     from ..readers.files import file_source

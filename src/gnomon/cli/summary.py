@@ -105,7 +105,9 @@ def finding_lines(
 
 
 def _paragraph(text: str, first: str, rest: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH - 1, initial_indent=first, subsequent_indent=rest, break_long_words=False)
+    return textwrap.wrap(
+        text, WIDTH - 1, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def parameter_lines(calibration: Calibration) -> Iterator[str]:

@@ -8,6 +8,7 @@ from .._version import __version__
 from ..output import write_whole
 from ..results.result import Booleans
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
+from .certificate.tables import certificate_tables
 from .drawing.figures import AXES, Sheet, set_y_limits
 from .numbers import number_text
 from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
@@ -59,7 +60,7 @@ def temperature_page(result: TemperatureResult) -> ReportPage:
             KeyNumber("Lag of the thermometer", lag),
         ),
         findings=tuple(typeset_finding(finding) for finding in calibration.assessment.findings),
-        front=tuple(figures),
+        front=(*certificate_tables(calibration), *figures),
         sections=(
             *_residual_sections(result),
             Section("numbers", "Numbers", blocks=[_coefficients(result), _scatter(result)]),

@@ -25,11 +25,6 @@ if TYPE_CHECKING:
 _LEGEND = """\
 N white noise, B bias instability (floor of the curve: 0.664 B), K random walk,
 Q quantisation, R rate ramp; +- standard deviation, < upper bound"""
-_VERDICTS = {
-    "pass": ("usable", "bold green"),
-    "warn": ("usable, with reservations", "bold yellow"),
-    "fail": ("do not use this noise", "bold red"),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,8 +127,10 @@ def show_noise(path: Path, terminal: Terminal) -> int:
 
 
 def _print(found: "SensorNoise", terminal: Terminal) -> None:
-    meaning, style = _VERDICTS[found.verdict]
-    terminal.print(f"{found.verdict}: {meaning}", style)
+    from ..summary import VERDICTS
+
+    meaning, style = VERDICTS[found.verdict]
+    terminal.print(f"{found.verdict}: {meaning.replace('calibration', 'noise')}", style)
     for sensor, triad in found.triads.items():
         terminal.print("\n".join(_lines(sensor, triad)))
     terminal.print(_LEGEND, "dim")

@@ -1,25 +1,21 @@
 """The commands on an IMU over its temperature."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ...simulate.scenarios.temperature import TemperatureScenario
-from ..command import Command, FileOption, Flat, Report, Seed, TableOptions, output_option
+from ..command import Command, FileOption, Flat, Report, Seed, StatedFacts, TableOptions, output_option
+from ..inputs import with_statements
 from ..output_folder import default_folder, result_folder
 from ..parsing.arguments import Argument
-from ..results import USABLE, exit_code, print_findings, result_files
+from ..results import USABLE, exit_code, print_files, print_findings, result_files
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
     from ...results.temperature import TemperatureResult
 
 FILES = ("calibration.yaml", "report.html")
-_VERDICTS = {
-    "pass": ("usable", "bold green"),
-    "warn": ("usable, with reservations", "bold yellow"),
-    "fail": ("do not use this", "bold red"),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +47,7 @@ class Temperature(Command, TableOptions):
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml and report.html (default: NAME-temperature beside the first recording)."""
     report: Report = True
+    certificate: Annotated[StatedFacts, Flat] = field(default_factory=StatedFacts)
 
     def run(self, terminal: Terminal) -> int:
         """Find the temperature's effect, write and say it, and return the exit code."""
@@ -70,14 +67,14 @@ class Temperature(Command, TableOptions):
             result = calibrate_temperature(
                 recordings, known, reference_degc=self.reference_degc, options=options, progress=terminal.progress
             )
+            result = replace(result, calibration=with_statements(result.calibration, self.certificate))
             save(result.calibration, staging / FILES[0])
             if self.report:
                 terminal.progress("drawing the report")
                 write_temperature_report(result, staging / FILES[1])
         _print(result, terminal)
-        files = result_files(folder, FILES if self.report else FILES[:1])
-        for path in files.values():
-            terminal.print(f"written: {path}")
+        files = result_files(folder, FILES)
+        print_files(folder, terminal, FILES)
         terminal.print("")
         terminal.propose("apply", folder / FILES[0], "RECORDING", "-o", "corrected.csv")
         code = exit_code(result.calibration)
@@ -106,13 +103,14 @@ def _numbers(result: "TemperatureResult") -> dict[str, object]:
 
 
 def _print(result: "TemperatureResult", terminal: Terminal) -> None:
-    meaning, style = _VERDICTS[result.calibration.verdict]
+    from ..summary import VERDICTS
+
+    meaning, style = VERDICTS[result.calibration.verdict]
     terminal.print(f"{result.calibration.verdict}: {meaning}", style)
     for finding in result.calibration.assessment.findings:
         if finding.severity == "good" and finding.code.startswith("temperature-"):
             terminal.print(f"  {finding.message}")
     print_findings(result.calibration.assessment.findings, terminal)
-    terminal.print("")
 
 
 @dataclass(frozen=True, kw_only=True)

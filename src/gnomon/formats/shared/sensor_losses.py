@@ -192,7 +192,7 @@ def _shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
         yield Loss(
             what="time shifts",
             why=f"{whose} takes one for all cameras, that of {first}.",
-            size=f"the others differ by up to {apart * 1e6:.3g} us",
+            size=f"the others differ by up to {1e3 * apart:.3g} ms",
         )
 
 

@@ -103,12 +103,14 @@ def _noise_numbers(noise: SensorNoise) -> ReportTable:
 def _blocks(verification: Verification) -> ReportTable:
     return ReportTable(
         "Block by block",
-        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", ""),
-        [movement_words(block) for block in verification.blocks],
-        "By how much the recording finds each block elsewhere if all others hold, but those that moved; U is 2 σ (k = "
-        "2, about 95 %). z: standard deviations of a single number that are as improbable; from "
+        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", "state"),
+        [tuple(map(readable_unit, movement_words(block))) for block in verification.blocks],
+        "By how much the recording finds each block elsewhere if all others hold, but those that moved; U is "
+        "twice the ± (k = 2, about 95 %). z: standard deviations of a single number that are as improbable; from "
         f"{verification.certain_z:.1f} on a block moved for certain. Biases are new at each start: their ± includes "
         "what is usual.",
+        dense=True,
+        stacked=True,
     )
 
 
@@ -129,12 +131,13 @@ def _scatter(comparison: Comparison) -> ReportTable:
         rows.append((block_words(block.path), *sizes, z_rms, ", ".join(notes)))
     return ReportTable(
         "Scatter against predicted sigma",
-        ("block", "scatter", "predicted σ", "unit", "z rms", ""),
+        ("block", "scatter", "predicted σ", "unit", "z rms", "remark"),
         rows,
         "Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, of a lens "
         "over those in px. z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas "
         "exceed in one of a hundred comparisons. Biases are new at each start, and not judged.",
         dense=True,
+        stacked=True,
         remarked=True,
     )
 
