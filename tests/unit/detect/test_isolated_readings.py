@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.detect.samples.repair import isolated_readings, without_readings
+from gnomon.detect.samples.repair import held_samples, isolated_readings, without_readings
 from gnomon.recording import Floats
 
 
@@ -27,6 +27,24 @@ def test_spikes_at_rest_and_in_motion_are_found_and_nothing_else(seed: int) -> N
     spoilt[at, rng.integers(0, 3, 20)] += rng.choice([-1, 1], 20) * rng.uniform(1.5, 30, 20)
     np.testing.assert_array_equal(isolated_readings(spoilt), at)
     assert not len(isolated_readings(values))
+
+
+@pytest.mark.parametrize(("step", "least"), [(0.0, 1.0), (1e-4, 0.95), (2e-2, 0.6)])
+def test_samples_that_stand_in_for_lost_ones_are_told_from_coarse_steps(step: float, least: float) -> None:
+    """Coarse steps repeat by chance, at rest all the time: there nothing is told, and nothing is lost."""
+    values, rng = moving(7)[1000:5000], np.random.default_rng(8)
+    values = np.rint(values / step) * step if step else values
+    assert not held_samples(values).any()
+    spoilt, lost = values.copy(), np.zeros(len(values), dtype=bool)
+    for first in 100 + np.flatnonzero(rng.random(3890) < 0.02):
+        spoilt[first : first + 4], lost[first : first + 4] = spoilt[first - 1], True
+    held = held_samples(spoilt)
+    assert held[1500:2500][lost[1500:2500]].mean() >= least
+    assert held[~lost].mean() < 2e-3
+
+
+def test_a_sensor_that_is_slower_than_its_recording_holds_none() -> None:
+    assert not held_samples(np.repeat(moving(7)[::2], 2, axis=0)).any()
 
 
 def test_where_there_are_some_two_may_be_neighbours() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import isolated_readings
+from ...detect.samples.repair import held_samples, isolated_readings
 from ...detect.samples.repeats import repeated_stretches
 from ...findings import Finding, make_finding
 from ...frozen import value_class
@@ -425,9 +425,19 @@ def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> li
         ]
     # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
     together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
-    if share > 0.2 and together > 0.5:
-        return [make_finding("samples-repeated", label=label, share=share)]
-    return []
+    slower = share > 0.2 and together > 0.5
+    held = float(held_samples(samples.values).mean())
+    if not (slower or held):
+        return []
+    return [
+        make_finding(
+            "samples-repeated",
+            severity="warning" if slower else "info",
+            case="" if slower else "held",
+            label=label,
+            share=share if slower else held,
+        )
+    ]
 
 
 def _moves(samples: TriadSamples | None, start_ns: int, stop_ns: int) -> bool:

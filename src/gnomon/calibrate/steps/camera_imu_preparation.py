@@ -11,7 +11,7 @@ from ...assess.checks.rig_checks import check_clock_changes, check_look, name_im
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
 from ...assess.weak_findings import cameras_disagree
 from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import repair_samples
+from ...detect.samples.repair import held_samples, repair_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels
@@ -364,7 +364,7 @@ def _inertial(
         near = np.interp(accelerometer.t_ns - origin, gyroscope.t_ns - origin, clipped[0]) > 0
         clipped[1] = clipped[1] | near
     triads = [
-        TriadData(values=samples.values, used=~mask)
+        TriadData(values=samples.values, used=~(mask | held_samples(samples.values)))
         for samples, mask in zip((gyroscope, accelerometer), clipped, strict=True)
     ]
     t_gyro = time_base(gyroscope, origin).t_s

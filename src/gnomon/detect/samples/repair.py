@@ -11,6 +11,7 @@ _RARE = 0.01
 _BESIDE = 3  # samples on either side of a reading
 _OFF = 10.0  # times as far from the line as they are; white noise never is
 _SAMPLES = 10_000  # that tell what is usual
+_HELD, _SLOWER, _JUMP = 0.005, 0.2, 3.0  # of the samples, more than by chance; beyond, the sensor is slower; steps
 
 
 def repair_samples(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
@@ -26,6 +27,22 @@ def repair_samples(samples: TriadSamples, *, counted: bool = False) -> TriadSamp
     samples = drop_repeated_timestamps(samples, counted=counted)
     at = isolated_readings(samples.values)
     return replace(samples, values=without_readings(samples.values, at)) if len(at) else samples
+
+
+def held_samples(values: Floats) -> Booleans:
+    """Mark the samples (n,) of a triad that stand in for lost ones: they repeat the one before, until all axes jump.
+
+    Coarse steps repeat, too, but by chance, or at rest, where what follows is a step away. None is marked where the
+    sensor is slower than its recording.
+    """
+    same = values[1:] == values[:-1]
+    repeats = np.concatenate([[False], same.all(axis=1)])
+    if not repeats.mean() - np.prod(same.mean(axis=0)) > _HELD:
+        return np.zeros(len(values), dtype=bool)
+    others = np.append(np.flatnonzero(~repeats), len(values) - 1)
+    following = values[others[np.searchsorted(others, np.arange(len(values)))]]
+    repeats &= (np.abs(following - values) > _JUMP * np.nan_to_num(smallest_steps(values))).all(axis=1)
+    return repeats & (_HELD < repeats.mean() <= _SLOWER)
 
 
 def without_readings(values: Floats, at: Integers) -> Floats:
