@@ -10,6 +10,7 @@
     python benchmarks/live.py rig --seconds 60          a camera at 30 Hz with an IMU at 200 Hz
     python benchmarks/live.py page --seconds 60         from a sample's arrival to the page
     python benchmarks/live.py memory                    24 h of samples, as fast as they are taken
+    python benchmarks/live.py memory --of imu --hours 4     and of a guided capture at 200 Hz, or --of rig
 
 The hand turns the sensor to where it is asked to with 10 degrees of noise, pays no attention one time in five, and
 takes about 4 s a step. Unguided, it takes attitudes at random, and is told by the same rule when it is enough; the
@@ -53,7 +54,7 @@ from gnomon.simulate.images.board_images import simulated_images
 
 TUTORIAL = 36
 LONGEST_S = 400.0
-TRIAL_S = 1.0  # that a process of its own takes to begin, and to check
+TRIAL_S = 0.5  # until the look after a check, which takes 0.1 s in a process that has begun
 UPRIGHT = np.array([0, 0, 9.81, 0, 0, 0])
 
 
@@ -358,10 +359,12 @@ def checked(recording, target, until_s):
             yield ready_s, check_setup(replace(coach.recording_so_far(), imus=so_far.imus), target)
 
 
-def study_setup(first, seeds=10, healthy=20, until_s=12.0):
+def study_setup(first, only="", seeds=10, healthy=20, until_s=12.0):
     """Look at the beginnings of captures, of which half have 30 and half 15 frames a second."""
     moments = (3, 4, 6, 8, int(until_s))
     for name, planted in SETUPS.items():
+        if only not in name:
+            continue
         found, codes = [], Counter()
         for seed in range(first, first + (healthy if name == "healthy" else seeds)):
             scenario = CameraImuScenario(duration_s=until_s + 1, camera_rate_hz=30.0 if seed % 2 else 15.0)
@@ -463,20 +466,75 @@ def study_page(seconds):
           f"{p95:.0f} (p95), {most:.0f} (most)")  # fmt: skip
 
 
-def study_memory(hours=24, rate_hz=20):
-    """Take a day of lines of a sensor that is left alone, and look every 2 s of it."""
+def resident_mb():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def lines_of_noise(seconds, rate_hz):
+    """Yield the lines of a sensor that is left alone."""
     rng = np.random.default_rng(1)
     rows = [",".join(f"{value:.6f}" for value in rng.normal(UPRIGHT, 0.01)).encode() for _ in range(6000)]
+    yield b"t_us,ax,ay,az,gx,gy,gz"
+    for k in range(1, 1 + seconds * rate_hz):
+        yield b"%d,%s" % (k * 1_000_000 // rate_hz, rows[k % len(rows)])
+
+
+def study_memory(hours=24, rate_hz=20):
+    """Take a day of lines of a sensor that is left alone, and look every 2 s of it."""
     with tempfile.TemporaryDirectory() as place:
         session = LiveSession(Silent(), Path(place) / "rec", USES["ahrs"], coach=NoiseCoach)
-        session.take_line(b"t_us,ax,ay,az,gx,gy,gz")
-        for k in range(1, 1 + hours * 3600 * rate_hz):
-            session.take_line(b"%d,%s" % (k * 1_000_000 // rate_hz, rows[k % len(rows)]))
-            if k % (2 * rate_hz) == 0:
+        for k, line in enumerate(lines_of_noise(hours * 3600, rate_hz)):
+            session.take_line(line)
+            if k and k % (2 * rate_hz) == 0:
                 state = session.look_at_arrivals()
-            if k % (6 * 3600 * rate_hz) == 0 or k == 3600 * rate_hz:
-                now = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-                print(f"memory: {state.seconds / 3600:.0f} h at {rate_hz} Hz: {now:.0f} MB", flush=True)
+            if k and (k % (6 * 3600 * rate_hz) == 0 or k == 3600 * rate_hz):
+                print(f"memory: {state.seconds / 3600:.0f} h at {rate_hz} Hz: {resident_mb():.0f} MB", flush=True)
+        session.end_recording()
+
+
+def study_memory_imu(hours):
+    """Take hours of lines at 200 Hz: a guided capture, and then one turn a minute; look every 0.5 s of it."""
+    with tempfile.TemporaryDirectory() as place:
+        hand, session = SimulatedHand(1), LiveSession(Silent(), Path(place) / "rec", USES["vio"])
+        every, looks_s = round(LOOK_S * hand.rate_hz), 0.0
+        for k, line in enumerate(islice(hand.sample_lines(), round(hours * 3600 * hand.rate_hz)), 1):
+            session.take_line(line)
+            if k % every == 0:
+                before_s = time.process_time()
+                state = session.look_at_arrivals()
+                looks_s += time.process_time() - before_s
+                hand.target, hand.hold_s = state.prospect.target, 60.0 if state.confirmed else hand.hold_s
+            if k % round(900 * hand.rate_hz) == 0:
+                share = looks_s / state.seconds
+                print(f"memory: imu, {state.seconds / 3600:.2f} h at 200 Hz, {len(state.prospect.up)} rests: "
+                      f"{resident_mb():.0f} MB, {share:.3f} of a core", flush=True)  # fmt: skip
+        session.end_recording()
+
+
+def study_memory_rig(hours, camera_rate_hz=5):
+    """Take images and lines of a rig as fast as they are looked at; images are deleted once they are written."""
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=8.0, camera_rate_hz=float(camera_rate_hz)), 1)
+    images = [frame.decode() for frame in simulated_images(simulation).streams["cam0"].frames([])]
+    hand, target = SimulatedHand(1), simulation.target
+    lines = hand.sample_lines()
+    with tempfile.TemporaryDirectory() as place:
+        lenses, use = {"cam0": simulation.recording.cameras["cam0"].camera}, USES["vio"]
+        source = PacedImages(images, 10**18)
+        session = RigSession(source, Silent(), Path(place) / "rec", target, lenses=lenses, use=use)
+        for k in range(round(hours * 3600 * camera_rate_hz)):
+            session.take_image(
+                ImageArrival(10**18 + k * 10**9 // camera_rate_hz, source.images[k % len(source.images)])
+            )
+            for line in islice(lines, round(hand.rate_hz / camera_rate_hz)):
+                session.samples.take_line(line)
+            if k % 3 == 2:
+                session.look_at_arrivals()
+                session.document()
+            if k % (camera_rate_hz * 600) == camera_rate_hz * 600 - 1:
+                for written in sorted((Path(place) / "rec").rglob("*.png"))[:-600]:
+                    written.unlink()
+                print(f"memory: rig, {(k + 1) / camera_rate_hz / 60:.0f} min, {session.images.written} images, "
+                      f"{session.samples.recorder.written} samples: {resident_mb():.0f} MB", flush=True)  # fmt: skip
         session.end_recording()
 
 
@@ -541,6 +599,9 @@ def main():
     parser.add_argument("--seeds", nargs=2, type=int, default=(100, 200), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--only", default="", help="part of the name of a setup")
+    parser.add_argument("--hours", type=int, default=24, help="of memory")
+    parser.add_argument("--of", choices=("noise", "imu", "rig"), default="noise", help="whose memory")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "live-hand.jsonl", metavar="FILE")
     parser.add_argument("--random", action="store_true", help="attitudes at random, too")
     given = parser.parse_args()
@@ -551,7 +612,7 @@ def main():
     elif given.what == "faults":
         study_faults(given.seeds[0])
     elif given.what == "setup":
-        study_setup(given.seeds[0])
+        study_setup(given.seeds[0], given.only)
     elif given.what == "kill":
         study_kill(given.seeds[0])
     elif given.what == "rig":
@@ -559,7 +620,7 @@ def main():
     elif given.what == "page":
         study_page(given.seconds)
     elif given.what == "memory":
-        study_memory()
+        {"noise": study_memory, "imu": study_memory_imu, "rig": study_memory_rig}[given.of](given.hours)
     else:
         study_coach(given.minutes)
 

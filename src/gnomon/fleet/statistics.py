@@ -44,25 +44,11 @@ class Population:
     kept: Booleans
 
 
-def random_effects(values: Floats, sigmas: Floats) -> Population:
-    """Return mean and spread of values (n,), by the moments of DerSimonian and Laird (1986).
+def _moments(values: Floats, variances: Floats) -> tuple[float, float, float, float]:
+    """Return mean, its sigma, tau^2 and Q, by the moments of DerSimonian and Laird (1986).
 
     With w = 1 / s^2: Q = sum w (y - y_w)^2, C = sum w - sum w^2 / sum w, tau^2 = max(0, (Q - (n - 1)) / C).
     """
-    mean, mean_sigma, tau2, q = _moments(values, sigmas**2)
-    return Population(
-        mean=mean,
-        mean_sigma=mean_sigma,
-        spread=sqrt(tau2),
-        heterogeneity=q,
-        count=len(values),
-        z=(values - mean) / np.sqrt(tau2 + sigmas**2),
-        kept=np.ones(len(values), dtype=bool),
-    )
-
-
-def _moments(values: Floats, variances: Floats) -> tuple[float, float, float, float]:
-    """Return mean, its sigma, tau^2 and Q of `random_effects`."""
     w = 1 / variances
     whole = float(w.sum())
     off = values - float(w @ values) / whole

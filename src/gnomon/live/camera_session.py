@@ -22,7 +22,7 @@ from .board_coach import BoardCoach, BoardState
 from .faults import Fault
 from .image_sources import ImageArrival, ImageSource
 from .recorder import ImageRecorder, Recorder
-from .trials import Trial, TrialOutcome
+from .trials import TrialOutcome, Trials
 
 _SILENT_S = 3.0
 _GAP, _FEWEST = 2.5, 10  # periods between frames, of which one is missing
@@ -60,8 +60,8 @@ class CameraSession:
         self._stamps: deque[int] = deque(maxlen=60)
         self._first_ns, self._arrived_s = 0, time.monotonic()
         self._looked: dict[str, ImageArrival] = {}
-        self._trial: Trial | None = None
-        self._tried = "cam0"
+        self._trials: Trials | None = None
+        self._tried: str | None = None
         self._together: list[dict[str, tuple[int, BoardView]]] = []
         self._joint, self._joint_tried = TrialOutcome(), 0
         self._finder: BoardProcess | BoardFinder
@@ -92,8 +92,8 @@ class CameraSession:
         self.images.close_files()
         if isinstance(self._finder, BoardProcess):
             self._finder.close()
-        if self._trial is not None:
-            self._trial.close()
+        if self._trials is not None:
+            self._trials.close()
 
     @property
     def recorded(self) -> str:
@@ -200,26 +200,34 @@ class CameraSession:
 
     def _follow_trial(self) -> None:
         """Begin a calibration where the views may be enough, and take what came of it."""
-        if self._trial is not None and self._trial.ended:
-            if self._trial.outcome is not None and self._tried:
-                self.coaches[self._tried].take_outcome(self._trial.outcome)
-            elif self._trial.outcome is not None:
-                self._joint = self._trial.outcome
-            self._trial = None
+        if self._trials is not None and self._tried is not None and not self._trials.at_work:
+            if self._trials.outcome is not None and self._tried:
+                self.coaches[self._tried].take_outcome(self._trials.outcome)
+            elif self._trials.outcome is not None:
+                self._joint = self._trials.outcome
+            self._tried = None
         wanting = next((name for name, coach in self.coaches.items() if coach.wants_trial), None)
         together = len(self._together) >= max(_TOGETHER, _MORE * self._joint_tried)
         if wanting is None and self._state.phase == "together" and together:
             wanting, self._joint_tried = "", len(self._together)
-        if self._trial is None and wanting is not None:
-            coaches = [self.coaches[wanting]] if wanting else list(self.coaches.values())
-            self._trial, self._tried = self._begin_trial(coaches), wanting
+        if self._tried is None and wanting is not None:
+            self._begin_trial([self.coaches[wanting]] if wanting else list(self.coaches.values()))
+            self._tried = wanting
 
-    def _begin_trial(self, coaches: list[BoardCoach]) -> Trial:
+    def _begin_trial(self, coaches: list[BoardCoach]) -> None:
         cameras = dict[str, CameraFrames]()
         for coach in coaches:
             shared = [seen[coach.camera] for seen in self._together if coach.camera in seen and len(coaches) > 1]
             cameras |= coach.recording_so_far(shared).cameras
-        return Trial(Recording(imus={}, cameras=cameras), self._target)
+        self._ready_trials().begin(Recording(imus={}, cameras=cameras), self._target)
+
+    def _ready_trials(self) -> Trials:
+        """Return what makes trials, another one where it was lost."""
+        if self._trials is not None and self._trials.lost:
+            self._trials.close()
+            self._trials = None
+        self._trials = self._trials or Trials()
+        return self._trials
 
     @property
     def _period_ns(self) -> float:

@@ -29,6 +29,7 @@ class SimulatedHand:
     Attributes
     ----------
     target : (3,) direction in the sensor that shall point up; None where anything will do
+    hold_s : how long it lets the sensor rest after a turn
     truth : of the sensor, in body frame "accel-x"
     """
 
@@ -39,7 +40,7 @@ class SimulatedHand:
         upright, lower = np.linalg.qr(drawn.required_accelerometer.sensitivity.T)
         self.truth: ImuCalibration = rotate_imu(drawn, (upright * np.sign(np.diag(lower))).T)
         self.target: Floats | None = None
-        self.rate_hz = self._scenario.rate_hz
+        self.rate_hz, self.hold_s = self._scenario.rate_hz, _HOLD_S
         self._count = 0
         self._pose = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -49,7 +50,7 @@ class SimulatedHand:
         while True:
             turn_s = float(self._rng.uniform(*_TURN_S))
             turn = self._turn(turn_s)
-            yield from self._lines(turn, turn_s + _HOLD_S)
+            yield from self._lines(turn, turn_s + self.hold_s)
             self._pose = turn.q_after_wxyz[0]
 
     def _still(self) -> Motions:

@@ -21,11 +21,11 @@ from .image_sources import ImageSource
 from .prospect import rate_unit_of
 from .session import LiveSession
 from .sources import LiveSource
-from .trials import Trial, TrialOutcome
+from .trials import TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
-_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 1.0, 1.0, 30
-_CHECK_SHARE = 0.3  # of the recording so far, that passes until the next check
+_CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
+_CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
 _UNTILTED_S = 45.0  # from when on a calibration is tried of a rig that is not turned by 90 degrees
@@ -214,6 +214,7 @@ class RigSession(CameraSession):
 
     def begin_recording(self) -> None:
         """Begin to receive both, each in a thread of its own."""
+        self._ready_trials()  # ready when the motion begins to tell something
         self.samples.begin_recording()
         super().begin_recording()
 
@@ -245,8 +246,9 @@ class RigSession(CameraSession):
         """Return why nothing can be said, and what is wrong with the sources, most important first."""
         return [*super().troubles(), *self.samples.troubles(), *self.samples.coach.state.faults]
 
-    def _begin_trial(self, coaches: list[BoardCoach]) -> Trial:
+    def _begin_trial(self, coaches: list[BoardCoach]) -> None:
         (coach,) = coaches
         assert isinstance(coach, RigCoach)
-        calibrates = coach.wants_calibration
-        return Trial(coach.recording_so_far(), coach.target, self._use, self.folder, self._units, calibrates=calibrates)
+        more = coach.wants_calibration  # asked first: what is recorded so far counts as tried
+        recording, trials = coach.recording_so_far(), self._ready_trials()
+        trials.begin(recording, coach.target, self._use, self.folder, units=self._units, calibrates=more)

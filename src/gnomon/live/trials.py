@@ -1,13 +1,16 @@
-"""A check or a calibration of what was recorded so far, in a process of its own, so that nothing waits for it.
+"""Checks and calibrations of what was recorded so far, in a process of their own, so that nothing waits for them.
 
-It is started with `python -P -m gnomon.live.trials`: in comes what is to be calibrated, out goes what came of it.
+It is started with `python -P -m gnomon.live.trials`: in comes what is to be calibrated, out goes what came of it, until
+nothing more is to come.
 """
 
 import os
 import pickle
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path
 from threading import Thread
 
@@ -20,6 +23,8 @@ from ..units import Units
 from .faults import Fault
 
 _NICE = 10
+_AT_WORK = ("..assess.checks.rig_doctor", "..assess.needs", "..calibrate.camera_imu", "..readers.rig.imu_stream")
+"""What takes its time to import, and is wanted when the first question comes."""
 _PASSED_OVER = frozenset({"stream-short", "frames-few", "motion-slow", "frame-gaps", "frame-rate", "frame-jitter"})
 """Findings of `gnomon check` that a longer recording mends, as a warning that clocks drift; or of images that were not
 looked at: those that did not arrive are told elsewhere."""
@@ -43,55 +48,74 @@ class TrialOutcome:
     faults: tuple[Fault, ...] = ()
 
 
-class Trial:
-    """One check or calibration, at work from now on.
+class Trials:
+    """Checks and calibrations in a process, one at a time; to begin takes it several times as long as to check.
 
-    Parameters
+    Attributes
     ----------
-    recording : so far
-    target : the board
-    use : of cameras with an IMU, what they are for
-    folder : of those, with the samples and what is known of the IMU
-    units : of the samples, as far as they are stated
-    calibrates : whether it is more than a check of cameras and IMU together
+    outcome : of the last one; None where the process was lost
     """
 
-    def __init__(
+    def __init__(self) -> None:
+        command, place = python_command("gnomon.live.trials"), python_environment()
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=place
+        )
+        self.outcome: TrialOutcome | None = None
+        self._thread = Thread()
+
+    @property
+    def at_work(self) -> bool:
+        """Whether the last one is not at its end."""
+        return self._thread.is_alive()
+
+    @property
+    def lost(self) -> bool:
+        """Whether the process ended."""
+        return self._process.poll() is not None
+
+    def begin(
         self,
         recording: Recording,
         target: Target,
         use: Use | None = None,
         folder: Path | None = None,
-        units: Units | None = None,
         *,
+        units: Units | None = None,
         calibrates: bool = True,
     ) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
+        """Begin with the next one.
+
+        Parameters
+        ----------
+        recording : so far
+        target : the board
+        use : of cameras with an IMU, what they are for
+        folder : of those, with the samples and what is known of the IMU
+        units : of the samples, as far as they are stated
+        calibrates : whether it is more than a check of cameras and IMU together
+        """
         stated = {item.name: getattr(target, item.name) for item in fields(target) if item.init}
-        self._message = pickle.dumps((recording, stated, use, folder, units, calibrates))
-        self.outcome: TrialOutcome | None = None
-        self._thread = Thread(target=self._run, daemon=True)
+        message = pickle.dumps((recording, stated, use, folder, units, calibrates))
+        self._thread = Thread(target=self._ask, args=(message,), daemon=True)
         self._thread.start()
 
-    @property
-    def ended(self) -> bool:
-        """Whether it came to an end; there is an outcome then, unless the process was lost."""
-        return not self._thread.is_alive()
+    def _ask(self, message: bytes) -> None:
+        asked, answers, self.outcome = self._process.stdin, self._process.stdout, None
+        assert asked is not None
+        assert answers is not None
+        with suppress(OSError, EOFError, pickle.UnpicklingError):
+            asked.write(message)
+            asked.flush()
+            self.outcome = TrialOutcome(**pickle.load(answers))
 
     def close(self) -> None:
-        """End it."""
-        if self._process is not None:
-            self._process.kill()
-        self._thread.join(timeout=5.0)
-
-    def _run(self) -> None:
-        command, place = python_command("gnomon.live.trials"), python_environment()
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=place
-        )
-        answer, _ = self._process.communicate(self._message)
-        if self._process.returncode == 0:
-            self.outcome = TrialOutcome(**pickle.loads(answer))
+        """End the process, whatever it does."""
+        self._process.kill()
+        with suppress(OSError), self._process:  # of a request that it no longer reads
+            pass
+        if self.at_work:
+            self._thread.join(timeout=5.0)
 
 
 def try_calibration(recording: Recording, target: Target, use: Use | None = None) -> TrialOutcome:
@@ -144,23 +168,26 @@ def _samples_in(folder: Path, units: Units | None) -> dict[str, ImuSamples]:
     return {"imu0": read_imu("imu0", files, known, units=units or Units(), sources=[], notes=[])}
 
 
-def answer_request() -> None:
-    """Answer what comes over the standard input."""
+def answer_trials() -> None:
+    """Answer what comes over the standard input, to its end."""
     if hasattr(os, "nice"):
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not come between
-    recording, stated, use, folder, units, calibrates = pickle.load(sys.stdin.buffer)
-    if folder is not None:
-        recording = replace(recording, imus=_samples_in(folder, units))
-    target = Target(**stated)
-    outcome = try_calibration(recording, target, use) if calibrates else TrialOutcome()
-    if recording.imus:
-        outcome = replace(outcome, faults=check_setup(recording, target))
-    found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
-    pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
-    answers.flush()
+    for name in _AT_WORK:
+        import_module(name, __package__)
+    with suppress(EOFError):
+        while True:
+            given, stated, use, folder, units, calibrates = pickle.load(sys.stdin.buffer)
+            recording = given if folder is None else replace(given, imus=_samples_in(folder, units))
+            target = Target(**stated)
+            outcome = try_calibration(recording, target, use) if calibrates else TrialOutcome()
+            if recording.imus:
+                outcome = replace(outcome, faults=check_setup(recording, target))
+            found = {item.name: getattr(outcome, item.name) for item in fields(outcome)}
+            pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
+            answers.flush()
 
 
 if __name__ == "__main__":
-    answer_request()
+    answer_trials()

@@ -10,6 +10,7 @@ Units of the parameters of a calibration.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -143,9 +144,10 @@ def calibration_parameters(
         yield f"{name}.distortion_coeffs", camera.camera.distortion_coeffs
 
 
-def element_names(path: str, shape: tuple[int, ...]) -> list[str]:
+@lru_cache(1000)
+def element_names(path: str, shape: tuple[int, ...]) -> tuple[str, ...]:
     """Return the names of a parameter's scalars in row order, "imu0.gyroscope.bias[2]"; of a lone scalar its path."""
-    return [f"{path}[{','.join(map(str, index))}]" if index else path for index in np.ndindex(shape)]
+    return tuple([f"{path}[{','.join(map(str, index))}]" if index else path for index in np.ndindex(shape)])
 
 
 def covariance_names(

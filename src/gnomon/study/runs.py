@@ -6,6 +6,7 @@ same bit by bit whoever does the work, and whichever part of it was done before.
 
 import base64
 import binascii
+import gc
 import hashlib
 import json
 import multiprocessing
@@ -188,6 +189,7 @@ def _pooled(work: Callable[[Task], Outcome], tasks: Sequence[Task], jobs: int) -
 
 def _alone() -> None:
     """Let a new process use one thread, end without words when it is interrupted, and not outlive its parent."""
+    gc.set_threshold(50_000)  # as of the program (`__main__`)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threadpool_limits(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()

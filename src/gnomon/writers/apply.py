@@ -21,8 +21,8 @@ from ..kernel import load_kernel
 from ..kernel.library import join_columns
 from ..output import atomic_file
 from ..progress import Progress
-from ..readers.samples.stream import TRIADS, BlockRows, Blocks, SampleStream, open_stream, read_thermometer, stream_of
-from ..recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
+from ..readers.samples.stream import TRIADS, BlockRows, Blocks, SampleStream, open_stream, read_thermometer
+from ..recording import Floats, Integers, TemperatureSamples, TriadSamples
 from ..recording.thermometer import TemperatureCourse
 from ..results.calibration import ImuCalibration
 from ..units import Units
@@ -87,36 +87,6 @@ def apply_files(
         return read_thermometer(*paths, columns=columns, rate_hz=rate_hz, units=units, imu=imu)
 
     stream, course = _at_reference(calibration, stream, thermometer, strict=strict, warn=warn)
-    return write_calibrated(calibration, stream, output, course)
-
-
-def apply_recording(
-    calibration: ImuCalibration,
-    recording: Recording,
-    output: str | PathLike[str],
-    imu: str = "imu0",
-    *,
-    strict: bool = False,
-    warn: Progress = _warn,
-) -> int:
-    """Calibrate a recording in memory into a CSV file and return the number of rows; see `apply_files`.
-
-    Raises
-    ------
-    RecordingError
-        If the recording holds no such IMU, or none of the sensors that were calibrated.
-    FormatError
-        If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
-        specific force that there is not.
-    OutputError
-        If the output cannot be written.
-    """
-    if imu not in recording.imus:
-        raise RecordingError(f"no {imu} in this recording. Found: {', '.join(recording.imus)}.")
-    samples = recording.imus[imu]
-    stream, course = _at_reference(
-        calibration, stream_of(samples), lambda: samples.temperature, strict=strict, warn=warn
-    )
     return write_calibrated(calibration, stream, output, course)
 
 

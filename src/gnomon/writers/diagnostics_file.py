@@ -22,6 +22,7 @@ from ..results.result import JoinedDiagnostics
 from ..results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
+_SMALL = 2048  # bytes: less is kept as it is
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,
 _WORTH = 0.75  # to this share at least: readings with noise hardly do, and would take most of the time
 _SINGLE: Mapping[type, frozenset[str]] = {
@@ -56,6 +57,8 @@ def save_diagnostics(
 
 
 def _shrinks(content: memoryview) -> bool:
+    if len(content) < _SMALL:
+        return False
     start = max(0, (len(content) - _SAMPLE) // 2)
     sample = content[start : start + _SAMPLE]
     return len(zlib.compress(sample, _LEVEL)) < _WORTH * len(sample)

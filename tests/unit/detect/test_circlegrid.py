@@ -8,7 +8,7 @@ import gnomon.detect.boards.circlegrid as module
 from detection import Score, Truth
 from gnomon.detect.boards.board import BoardView
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumber_view
-from gnomon.detect.boards.circlegrid import CircleGridDetector, detect_circlegrid
+from gnomon.detect.boards.circlegrid import CircleGridDetector
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
@@ -26,6 +26,10 @@ FISHEYE = Camera(
     distortion_coeffs=np.array([0.02, -0.01, 0.003, -0.001]),
     resolution=(752, 480),
 )
+
+
+def detect_circlegrid(image, target):
+    return CircleGridDetector(target).detect(image)
 
 
 def picture(target, rotvec=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.6), *, wall=True, seed=0, **optics):

@@ -8,7 +8,7 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.detect.boards.board import SECOND_BOARD
 from gnomon.detect.boards.charuco import detect_charuco
 from gnomon.detect.boards.checkerboard import detect_checkerboard
-from gnomon.detect.boards.circlegrid import detect_circlegrid
+from gnomon.detect.boards.circlegrid import CircleGridDetector
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
@@ -20,7 +20,10 @@ from rendered import FACING
 KINDS = {
     "aprilgrid": (Target.aprilgrid(tag_cols=4, tag_rows=4, tag_size_m=0.06, tag_spacing=0.3), detect_aprilgrid),
     "checkerboard": (Target.checkerboard(cols=5, rows=6, row_spacing_m=0.05, col_spacing_m=0.05), detect_checkerboard),
-    "circlegrid": (Target.circlegrid(cols=5, rows=6, spacing_m=0.05), detect_circlegrid),
+    "circlegrid": (
+        Target.circlegrid(cols=5, rows=6, spacing_m=0.05),
+        lambda image, target: CircleGridDetector(target).detect(image),
+    ),
     "charuco": (Target.charuco(cols=6, rows=7, square_size_m=0.05, marker_size_m=0.037), detect_charuco),
 }
 CAMERA = Camera(

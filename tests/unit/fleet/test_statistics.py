@@ -12,7 +12,6 @@ from gnomon.fleet.statistics import (
     individuals_chart,
     normal_limit,
     process_capability,
-    random_effects,
     robust_population,
     time_changes,
     wilson_interval,
@@ -41,7 +40,7 @@ AIAG = np.array(
 
 
 def test_random_effects_are_those_of_borenstein():
-    found = random_effects(EFFECTS, np.sqrt(VARIANCES))
+    found = robust_population(EFFECTS, np.sqrt(VARIANCES), np.inf)
     assert found.heterogeneity == pytest.approx(12.0033, abs=3e-2)  # effects are printed with three digits
     assert found.spread**2 == pytest.approx(0.0372, abs=5e-5)
     assert (found.mean, found.mean_sigma**2) == (pytest.approx(0.3582, abs=1e-4), pytest.approx(0.0111, abs=5e-5))
@@ -55,7 +54,7 @@ def test_random_effects_are_the_formula_in_exact_arithmetic():
     tau2 = (q - 5) / (sum(w) - sum(a * a for a in w) / sum(w))
     total = [1 / (x + tau2) for x in v]
     mean = sum(a * b for a, b in zip(total, y, strict=True)) / sum(total)
-    found = random_effects(np.array(y, dtype=float), np.sqrt(np.array(v, dtype=float)))
+    found = robust_population(np.array(y, dtype=float), np.sqrt(np.array(v, dtype=float)), np.inf)
     assert found.spread**2 == pytest.approx(float(tau2), abs=1e-12)
     assert found.mean == pytest.approx(float(mean), abs=1e-12)
 

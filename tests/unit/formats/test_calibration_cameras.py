@@ -35,7 +35,7 @@ def test_names_come_in_the_order_of_the_parameters(camera_calibration):
         *(f"cam0.distortion_coeffs[{i}]" for i in range(4)),
     )
     assert [name for name in names if name.startswith("cam1")][-1] == "cam1.intrinsics[5]"  # it has no distortion
-    assert element_names("cam0.line_delay", ()) == ["cam0.line_delay"]
+    assert element_names("cam0.line_delay", ()) == ("cam0.line_delay",)
 
 
 def test_parameters_of_a_camera(camera_calibration):

@@ -14,7 +14,7 @@ from gnomon.live.camera_session import CameraSession
 from gnomon.live.image_sources import SHOWN, CameraSource, ImageArrival, ImageSource, ReplayImages, open_image_source
 from gnomon.live.recorder import ImageRecorder
 from gnomon.live.sources import Pace
-from gnomon.live.trials import Trial, TrialOutcome, try_calibration
+from gnomon.live.trials import TrialOutcome, Trials, try_calibration
 from gnomon.models.camera import Camera
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording.frames import Frame, ImageRecording, ImageStream
@@ -124,10 +124,17 @@ def test_nothing_is_wrong_with_what_is_right(shown):
 
 
 def test_a_trial_has_a_process_of_its_own(shown):
-    trial = Trial(shown.recording, shown.target)
-    trial._thread.join()
-    assert trial.ended
-    assert trial.outcome.verdict == "pass"
+    trials = Trials()
+    for _ in range(2):  # of which the second need not wait for the process to begin
+        trials.begin(shown.recording, shown.target)
+        trials._thread.join()
+        assert not trials.at_work
+        assert trials.outcome.verdict == "pass"
+    trials.begin(shown.recording, shown.target)
+    trials.close()
+    assert not trials.at_work
+    assert trials.outcome is None
+    assert trials.lost
 
 
 def test_what_is_recorded_is_read_again_as_it_was(tmp_path):
@@ -155,11 +162,11 @@ class Prepared:
 
 
 class Told:
-    """A trial that has ended as it was told to."""
+    """Trials that have ended as they were told to."""
 
-    begun, outcome, ended = [], TrialOutcome(verdict="fail", advice="Not yet."), True
+    begun, outcome, at_work, lost = [], TrialOutcome(verdict="fail", advice="Not yet."), False, False
 
-    def __init__(self, recording, target):
+    def begin(self, recording, target):
         self.begun.append(recording)
 
     def close(self):
@@ -167,7 +174,7 @@ class Told:
 
 
 def test_each_camera_is_guided_until_all_are_known(tmp_path, shown, monkeypatch):
-    monkeypatch.setattr("gnomon.live.camera_session.Trial", Told)
+    monkeypatch.setattr("gnomon.live.camera_session.Trials", Told)
     session, views = CameraSession(Silent(), tmp_path / "rec", shown.target), list(views_of(shown))
     session._finder.close()
     session._finder = Prepared(view for view in views for _ in range(2))

@@ -15,7 +15,7 @@ from gnomon.live.image_sources import CameraSource, ImageArrival, ImageSource, o
 from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
 from gnomon.live.sources import LiveSource, PushSource
-from gnomon.live.trials import Trial, TrialOutcome, check_setup
+from gnomon.live.trials import TrialOutcome, Trials, check_setup
 from gnomon.options.requirements import GENERAL_RIG
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import TriadSamples
@@ -211,9 +211,11 @@ def test_a_trial_reads_the_samples_as_the_ordinary_command_does(tmp_path, waved)
     for t_ns, row in zip(imu.gyroscope.t_ns.tolist(), rows, strict=True):
         session.samples.take_line(f"{t_ns},{','.join(map(repr, row))}".encode())
     show(session.coach, waved, 310)
-    trial = Trial(session.coach.recording_so_far(), waved.target, GENERAL_RIG, session.folder)
+    trial = Trials()
+    trial.begin(session.coach.recording_so_far(), waved.target, GENERAL_RIG, session.folder)
     trial._thread.join()
     session.end_recording()
+    trial.close()
     assert trial.outcome.verdict == "pass"
     assert {name.split()[0] for name, _ in trial.outcome.needs} == {"rotation", "translation", "time"}
     assert all(0 < ratio < 1 for _, ratio in trial.outcome.needs)

@@ -16,7 +16,6 @@ from gnomon.study import tedaldi
 from gnomon.study.tedaldi import (
     GROUPS,
     MEAN_ERROR,
-    SET_1,
     SPREAD,
     UNITS,
     group_errors,
@@ -52,7 +51,7 @@ def small():
 
 
 def test_the_numbers_of_the_thesis_agree_with_themselves():
-    assert len(SET_1) == len(SPREAD) == len(MEAN_ERROR) == len(UNITS) == 18
+    assert len(SPREAD) == len(MEAN_ERROR) == len(UNITS) == 18
     for where, error in GROUPS.values():  # the first set is much like the 40
         assert 0.5 < MEAN_ERROR[where].mean() / error < 1.5
     np.testing.assert_array_less(0.6, MEAN_ERROR / SPREAD)  # of a normal distribution 0.8

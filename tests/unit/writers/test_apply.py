@@ -16,7 +16,7 @@ from gnomon.results.calibration import interpolate_triad
 from gnomon.results.sensors import TemperatureDependence
 from gnomon.units import Units
 from gnomon.writers import apply as module
-from gnomon.writers.apply import apply_files, apply_recording, write_calibrated
+from gnomon.writers.apply import apply_files, write_calibrated
 from gnomon.writers.recording_file import save_recording
 
 COUNTS = Units(accelerometer="count", gyroscope="count")
@@ -182,14 +182,10 @@ def test_recording_in_memory_and_result_reads_back(random_calibration, tmp_path)
     imu = random_calibration(29).imus["imu0"]
     recorded = samples(300)
     path = write_csv(tmp_path / "r.csv", recorded)
-    assert apply_recording(imu, gnomon.read(path), tmp_path / "a.csv") == 300
-    assert apply_files(imu, path, output=tmp_path / "b.csv") == 300
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert apply_files(imu, path, output=tmp_path / "a.csv") == 300
     back = gnomon.read(tmp_path / "a.csv").imus["imu0"]
     assert (back.accelerometer.unit, back.gyroscope.unit) == ("m/s^2", "rad/s")
     assert np.array_equal(back.accelerometer.values, imu.apply(recorded).accelerometer.values)
-    with pytest.raises(RecordingError, match="no imu1"):
-        apply_recording(imu, gnomon.read(path), tmp_path / "c.csv", imu="imu1")
 
 
 def test_without_gyroscope(random_calibration, tmp_path):
@@ -339,8 +335,6 @@ def test_files_are_corrected_for_their_temperature_too(tmp_path, random_calibrat
     path, recorded = warming(tmp_path, 5.0, 35.0)
     apply_files(imu, path, output=tmp_path / "out.csv")
     same(tmp_path / "out.csv", expected(imu, recorded))
-    apply_recording(imu, gnomon.read(path, units="raw"), tmp_path / "memory.csv")
-    assert (tmp_path / "memory.csv").read_bytes() == (tmp_path / "out.csv").read_bytes()
 
 
 def test_files_without_a_temperature_are_refused_where_it_matters(tmp_path, random_calibration):

@@ -11,10 +11,9 @@ import gnomon
 from gnomon.errors import FormatError, RecordingError
 from gnomon.readers.samples import stream_text
 from gnomon.readers.samples.stream import open_stream, stream_of
-from gnomon.recording import Recording
 from gnomon.results.calibration import interpolate_triad
 from gnomon.writers import apply
-from gnomon.writers.apply import apply_files, apply_recording, write_calibrated
+from gnomon.writers.apply import apply_files, write_calibrated
 from triad_subsets import SUBSETS, TRIADS, recorded, subset_calibration
 
 LETTERS = {"accelerometer": "a", "gyroscope": "w", "magnetometer": "m"}
@@ -65,8 +64,7 @@ def test_every_subset_in_memory(tmp_path, triads, own_stamps):
     for block in (1, 7, 5000):
         write_calibrated(imu, stream_of(samples, block), tmp_path / "out.csv")
         same(tmp_path / "out.csv", wanted)
-    recording = Recording(imus={"imu0": samples})
-    assert apply_recording(imu, recording, tmp_path / "out.csv") == len(wanted[0])
+    assert write_calibrated(imu, stream_of(samples), tmp_path / "out.csv") == len(wanted[0])
     same(tmp_path / "out.csv", wanted)
 
 
@@ -150,7 +148,7 @@ def test_samples_in_another_unit_are_refused(tmp_path):
     imu = imu_of(("magnetometer",), units=("count", "count", "uT"))
     samples = recorded(("magnetometer",))
     with pytest.raises(FormatError, match="the calibration is for measurements in uT, the samples are in count"):
-        apply_recording(imu, Recording(imus={"imu0": samples}), tmp_path / "out.csv")
+        write_calibrated(imu, stream_of(samples), tmp_path / "out.csv")
     path = write_csv(tmp_path / "r.csv", samples, ("magnetometer",))
     path.write_text(path.read_text().replace("mx,my,mz", "mx [gauss],my [gauss],mz [gauss]"))
     with pytest.raises(FormatError, match="in uT, the samples are in gauss"):

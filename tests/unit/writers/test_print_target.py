@@ -240,7 +240,9 @@ def detect(image, target):
     elif target.kind == "charuco":
         from gnomon.detect.boards.charuco import detect_charuco as found
     else:
-        from gnomon.detect.boards.circlegrid import detect_circlegrid as found
+        from gnomon.detect.boards.circlegrid import CircleGridDetector
+
+        return CircleGridDetector(target).detect(image)
     return found(image, target)
 
 

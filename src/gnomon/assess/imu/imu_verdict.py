@@ -8,6 +8,7 @@ from ...estimate.multiposition.change_causes import least_turn_seen
 from ...estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
 from ...estimate.multiposition.noise_levels import rotation_variance
 from ...estimate.multiposition.scaling import ImuEstimate
+from ...estimate.trust.changes import estimates_are_judged
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
@@ -94,7 +95,8 @@ def rotation_scatter(evidence: ImuFitSummary) -> list[Finding]:
 
 def _unseen_turn(evidence: ImuFitSummary) -> list[Finding]:
     """Say how small a turn of a triad in mid-recording passes, where general use would feel it."""
-    least = least_turn_seen(evidence.fit) if evidence.fit.rotation_used.any() else 0.0
+    judged = estimates_are_judged() and evidence.fit.rotation_used.any()
+    least = least_turn_seen(evidence.fit) if judged else 0.0
     if not _ROTATION_WARN_RAD < least < np.pi:
         return []
     rests = int(evidence.fit.interval_used.sum())

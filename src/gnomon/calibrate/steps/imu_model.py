@@ -143,14 +143,11 @@ def choose_model(
     fit = fitted(g_sensitivity=True)
     judged = stated is None or estimates_are_judged()
     steps = _steps(problem, fit, units, gravity_m_s2, stated) if judged else ()
-    rivals = {
-        "basic": leave_one_out(fit, g_sensitivity=False),
-        "g-sensitivity": leave_one_out(fit),
-    }
     taken = "g-sensitivity" if stated or any(step.used for step in steps if step.name == "g-sensitivity") else "basic"
+    largest = leave_one_out(fit)
     if taken == "basic":
         fit = fitted(g_sensitivity=False, before=fit)
-        rivals["basic"] = leave_one_out(fit)
+    rivals = {"basic": leave_one_out(fit, g_sensitivity=False), "g-sensitivity": largest}
     return ChosenModel(fit=fit, heldout=rivals[taken], rivals=rivals, steps=steps)
 
 

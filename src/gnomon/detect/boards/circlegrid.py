@@ -37,6 +37,9 @@ _TURNS = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
 class CircleGridDetector:
     """Finds a grid of circles in one image after the other; it remembers whether they are dark or light.
 
+    A grid that looks the same after half a turn (or a quarter) may be numbered from either end; `consistent_order` does
+    the rest.
+
     Parameters
     ----------
     target : the grid
@@ -54,20 +57,6 @@ class CircleGridDetector:
                 self._light = light
                 return view
         return nothing_seen()
-
-
-def detect_circlegrid(image: Grey, target: Target) -> BoardView:
-    """Find a grid of circles, dark ones on light ground or light ones on dark ground.
-
-    A grid that looks the same after half a turn (or a quarter) may be numbered from either end; `consistent_order` does
-    the rest.
-
-    Parameters
-    ----------
-    image : (h, w) grey levels
-    target : the grid, a circlegrid
-    """
-    return CircleGridDetector(target).detect(image)
 
 
 def _found(image: Grey, target: Target, light: bool) -> BoardView:

@@ -66,8 +66,9 @@ _POSTPONED: ContextVar[list[Callable[[], tuple[ParameterChange, ...]]] | None] =
 def estimates_alone() -> Generator[list[Callable[[], tuple[ParameterChange, ...]]]]:
     """Leave out within this context what judges an estimate and changes none of its numbers.
 
-    That is whether other lenses or a prior agree, and views that are left out to be predicted. Searches for parameters
-    that changed during the recording are postponed: they are in the list that is given.
+    That is whether other lenses, a prior or parts of the recording agree, which turns would go unseen, and what is left
+    out to be predicted. Searches for parameters that changed during the recording are postponed: they are in the list
+    that is given.
     """
     postponed = list[Callable[[], tuple[ParameterChange, ...]]]()
     before = _POSTPONED.set(postponed)

@@ -11,7 +11,7 @@ from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import Clusters, ParameterChange, SigmaRatio, Splits, Trust
-from .changes import parameter_changes
+from .changes import estimates_are_judged, parameter_changes
 from .clusters import ClusterSums, Robust, correlation_time, group_into_clusters, robust_variances
 from .parts import Split, part_agreement, part_differences
 
@@ -152,7 +152,7 @@ class PartComparison:
 
     def splits(self, estimated: Booleans, biased: Booleans, length: int) -> Splits | None:
         """Compare halves and thirds, biases apart, and clusters of `length` stretches that take turns."""
-        if len(self.sums) < 2 * _FEWEST_IN_PART:
+        if len(self.sums) < 2 * _FEWEST_IN_PART or not estimates_are_judged():
             return None
         turns = Split(
             name="taking turns",
