@@ -30,7 +30,7 @@ from ..recording import Recording
 from ..results.calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
 from .steps.camera_board import BoardChoice, with_board
-from .steps.camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
+from .steps.camera_lenses import IndependentViews, LensChoice, chosen_lenses, stated_models, time_clusters
 from .steps.camera_views import (
     Unseen,
     cross_validate_views,
@@ -114,7 +114,8 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     board = with_board(first, options if all(lens.fits for lens in lenses) else replace(options, board="stated"))
     solution = board.solution
     tell("testing it on views that it has not seen")
-    left_out, uncompared = _tested(board)
+    independent = IndependentViews.of(solution)
+    left_out, uncompared = _tested(board, independent)
     others = unused_residuals(start.every, solution)
     bad = misfit_frames(solution, others)
     mixed = other_size(start.every, solution, bad)
@@ -122,7 +123,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         raise RecordingError(str(mixed))
     tell("assessing the result")
     apart = _synchronism(start.every, solution)
-    result = publish_cameras(solution, options)
+    result = publish_cameras(solution, options, independent)
     evidence = CamerasFitSummary(
         recording=recording,
         target=target,
@@ -159,13 +160,13 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     return Result(calibration=with_changes(calibration, evidence.trust), diagnostics=diagnostics)
 
 
-def _tested(board: BoardChoice) -> tuple[Unseen, list[Finding]]:
+def _tested(board: BoardChoice, views: IndependentViews) -> tuple[Unseen, list[Finding]]:
     """Return how well views that were left out are predicted, and what of such comparisons could not be made."""
     solution = board.solution
     uncompared = [comparison_left_out("another shape of the board", board.failed)] if board.failed else []
     if estimates_are_judged():
         try:
-            return cross_validate_views(solution, time_clusters(solution), board.estimated), uncompared
+            return cross_validate_views(solution, time_clusters(views), board.estimated), uncompared
         except (GnomonError, np.linalg.LinAlgError) as error:
             uncompared.append(comparison_left_out("views that were left out", str(error)))
     used = {name: rms_of(seen) for name, seen in solution.corners.items()}

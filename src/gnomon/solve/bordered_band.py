@@ -369,7 +369,6 @@ def _factorise(system: BorderedBand) -> Factor:
     p, q = system.border.shape[2], system.rhs.shape[2]
     lower, chain = _gathered(system)
     blocks, s = lower.shape[:2]
-    total = np.zeros((p + q, p + q))
     ahead = np.zeros((0, s))
     for k in range(blocks):
         if k:  # what block k - 1 sends on: its [E F r]' times its own E
@@ -381,7 +380,10 @@ def _factorise(system: BorderedBand) -> Factor:
             raise np.linalg.LinAlgError(f"super-block {k} of {blocks} is not positive definite")
         dtrsm(1.0, lower[k].T, chain[k].T, lower=1, overwrite_b=1)
         ahead = chain[k]
-        total += ahead[s:] @ ahead[s:].T
+    total = np.zeros((p + q, p + q))
+    for k in range(0, blocks, _TOGETHER):
+        rows = chain[k : k + _TOGETHER, s:].swapaxes(0, 1).reshape(p + q, -1)
+        total += rows @ rows.T
     schur, sides = system.corner.copy(), system.corner_rhs.copy()
     schur[:p, :p] -= total[:p, :p]
     sides[:p] -= total[:p, p:]

@@ -7,7 +7,13 @@ from gnomon.estimate.multiposition.drift import accelerometer_drifts, with_trend
 from gnomon.estimate.multiposition.fit import fit_multiposition
 from gnomon.estimate.multiposition.scaling import segment_sums
 from gnomon.estimate.trust.cluster_trust import robust_covariance
-from gnomon.estimate.trust.clusters import ClusterSums, _jackknife, correlation_time, group_into_clusters
+from gnomon.estimate.trust.clusters import (
+    ClusterSums,
+    _jackknife,
+    correlation_time,
+    group_into_clusters,
+    leave_clusters_out,
+)
 
 NAMES = ("x.scale[0]", "x.scale[1]", "x.scale[2]", "x.bias[0]", "x.bias[1]", "x.bias[2]")
 BLOCK = np.array([0, 0, 0, 1, 1, 1])
@@ -85,7 +91,7 @@ def test_factors_without_shrinkage_are_right_on_the_average():
 def test_memory_makes_clusters_longer():
     rng = np.random.default_rng(4)
     seen = [
-        correlation_time(linear(rng, stretches=48, correlation=c)[0], np.eye(6), BLOCK)
+        correlation_time(leave_clusters_out(linear(rng, stretches=48, correlation=c)[0]), BLOCK)
         for c in (0.0,) * 20 + (0.8,) * 20
     ]
     assert np.mean(np.array(seen[:20]) > 0) < 0.4

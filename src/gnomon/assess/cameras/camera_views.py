@@ -53,6 +53,8 @@ def _copies(frames: CameraFrames, alike_px: float) -> tuple[dict[int, tuple[int,
     Views alike have their middles in the same or in neighbouring cells of that width.
     """
     shown, first = np.unique(frames.frame, return_index=True)
+    if not alike_px and len({*map(tuple, np.maximum.reduceat(frames.pixels, first).tolist())}) == len(shown):
+        return {}, len(shown)  # no two reach as far to the right and down
     ends = np.append(first, len(frames.frame))
     seen: dict[tuple[bytes, int, int], list[tuple[int, Floats]]] = {}
     copies: dict[int, tuple[int, float]] = {}

@@ -101,10 +101,10 @@ def late_accelerometer(
     if seen is None:
         return []
     at, step_s, known, free = seen
-    q = np.linalg.qr(free.reshape(-1, free.shape[2]))[0]
+    q, force = np.linalg.qr(free.reshape(-1, free.shape[2]))[0], averaged_force(stream, step_s)
 
     def left_at(delay_s: float) -> Floats:
-        wanted = (averaged_force(stream, at + delay_s, step_s) - known).ravel()
+        wanted = (force(at + delay_s) - known).ravel()
         return wanted - q @ (q.T @ wanted)
 
     delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)
@@ -114,7 +114,7 @@ def late_accelerometer(
     left, before = left_at(best), left_at(0.0)
     sigma = 2.0 * float(np.sqrt((left**2).mean() / (slope @ slope)))  # neighbouring differences share poses
     delay = best - gyroscope.delay_s
-    read = averaged_force(stream, at, step_s)
+    read = force(at)
     explained = left @ left < _LEFT * ((read - read.mean(axis=0)) ** 2).sum() and abs(best) < _SEARCH_S
     clear = abs(delay) > max(_LATE_S, _LATE_SIGMAS * sigma) and before @ before > _CLEARLY * (left @ left)
     if not (explained and clear):

@@ -10,6 +10,7 @@ window; the accelerometer is averaged with the same one. The products of A_a wit
 are unknowns of their own, so that all of it stays linear.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations, product
 from typing import NamedTuple
@@ -33,7 +34,6 @@ _TURN_S = 0.1
 _FEWEST, _FEWEST_TURNS, _FEWEST_FORCES = 60, 25, 20
 _ROUNDS, _ROBUST = 3, 3.5
 _SEARCH_S, _TRIALS = 0.04, 17
-_WINDOW = 21
 _WHOLLY, _HELD, _MOSTLY, _FEWEST_SECONDS = 0.97, 0.2, 0.9, 3
 _LEFT, _CLEARLY = 0.1, 3.0  # of the variance, that the right exchange of axes leaves; times as much leaves any other
 _EXCHANGES = np.array(
@@ -139,7 +139,7 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
 def felt_force(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[Floats, Floats, Floats] | None:
     """Return instants [s] (n,), what the camera saw of the force there (n, 22), and what was read (n, 3); or None."""
     seen = _seen_force(poses, stream, time_shift_s)
-    return None if seen is None else (seen[0], seen[1], averaged_force(stream, seen[0], seen[2]))
+    return None if seen is None else (seen[0], seen[1], averaged_force(stream, seen[2])(seen[0]))
 
 
 def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gyroscope: AxesFit) -> Floats | None:
@@ -152,7 +152,7 @@ def exchanged_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float, gy
     if seen is None:
         return None
     at, step_s, known, free = seen
-    read = averaged_force(stream, at, step_s)
+    read = averaged_force(stream, step_s)(at)
     wanted = np.moveaxis(read @ np.swapaxes(_EXCHANGES, 1, 2) - known, 0, 2)
     used, left = np.ones(len(at), dtype=bool), np.zeros(len(_EXCHANGES))
     for _ in range(_ROUNDS):
@@ -214,15 +214,16 @@ def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float
     if seen is None:
         return None
     at, design, step_s = seen
-    fit = _robust(design, averaged_force(stream, at, step_s))
-    slope = (averaged_force(stream, at + 0.01, step_s) - averaged_force(stream, at - 0.01, step_s)) / 0.02
+    force = averaged_force(stream, step_s)
+    fit = _robust(design, force(at))
+    slope = (force(at + 0.01) - force(at - 0.01)) / 0.02
     delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)
-    costs = [_cost(design, averaged_force(stream, at + delay, step_s), fit.weight) for delay in delays]
+    costs = [_cost(design, force(at + delay), fit.weight) for delay in delays]
     best = int(np.argmin(costs))
     delay = float(delays[best])
-    refined = _robust(design, averaged_force(stream, at + delay, step_s))
+    refined = _robust(design, force(at + delay))
     delay += refined.shift(design, slope)
-    final = _robust(design, averaged_force(stream, at + delay, step_s))
+    final = _robust(design, force(at + delay))
     return AxesFit(
         matrix=_accelerometer_matrix(final.solution),
         offset=final.solution[21],
@@ -242,12 +243,14 @@ def _accelerometer_matrix(solution: Floats) -> Floats:
     return matrix * (np.sign(float((matrix * own).sum())) or 1.0)
 
 
-def averaged_force(stream: ImuStream, t_s: Floats, step_s: float) -> Floats:
-    """Return the specific force averaged with a triangular window about instants, (n, 3)."""
-    offsets = np.linspace(-1, 1, _WINDOW)[1:-1] * step_s
-    weights = (1 - np.abs(offsets) / step_s) / (1 - np.abs(offsets) / step_s).sum()
-    at = t_s[:, None] + offsets
-    return np.stack([np.interp(at, stream.t_s, stream.force[:, i]) @ weights for i in range(3)], axis=1)
+def averaged_force(stream: ImuStream, step_s: float) -> Callable[[Floats], Floats]:
+    """Return what tells the specific force (n, 3) at instants (n,) [s], averaged with a triangular window."""
+    t_s, force = stream.t_s, stream.force
+    ends = np.clip(t_s - step_s / 2, t_s[0], t_s[-1]), np.clip(t_s + step_s / 2, t_s[0], t_s[-1])
+    for _ in range(2):  # a window of one height, twice
+        integral = gyroscope_integral(t_s, force)
+        force = (integral(ends[1]) - integral(ends[0])) / (ends[1] - ends[0])[:, None]
+    return lambda at_s: np.stack([np.interp(at_s, t_s, axis) for axis in force.T], axis=1)
 
 
 def rate_at(stream: ImuStream, t_s: Floats) -> Floats:

@@ -227,10 +227,11 @@ def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Boolean
     residual, by_pose, by_cause, seen = _linearised(poses, camera, target, _Corners(frame, points, pixels))
     weight = seen.astype(np.float64)
     starts = np.flatnonzero(np.concatenate([[True], np.diff(frame) > 0]))
+    sides = np.concatenate([by_cause, residual[:, :, None]], axis=2)
     solution, covariance, causes, free, left = np.zeros(8), np.zeros((8, 8)), by_cause, residual, residual
     for _ in range(_ROUNDS):
-        left = _without_poses(residual[:, :, None], by_pose, weight, starts, frame)[:, :, 0]
-        causes = _without_poses(by_cause, by_pose, weight, starts, frame)
+        both = _without_poses(sides, by_pose, weight, starts, frame)
+        causes, left = both[:, :, :8], both[:, :, 8]
         solution, covariance = _solved(causes, left, weight)
         free = left - causes @ solution
         size = np.linalg.norm(free, axis=1)

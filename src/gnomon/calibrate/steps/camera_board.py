@@ -18,7 +18,7 @@ from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats, Integers
 from ...results.trust import ModelStep
-from .camera_lenses import time_clusters
+from .camera_lenses import IndependentViews, time_clusters
 
 _ALONG = {"stated": (), "aspect": ("aspect",), "bow": ("aspect", "bow"), "corners": ("aspect", "bow", "corners")}
 """Option -> what is estimated whatever the views say."""
@@ -90,7 +90,7 @@ def _by_evidence(solution: RigSolution, along: Callable[[RigSolution, tuple[str,
 
 def _shape_steps(wider: RigSolution) -> tuple[ModelStep, ...]:
     """Return what aspect and bow bring, from a solution that has both."""
-    sums = wider.sums.gathered(time_clusters(wider))
+    sums = wider.sums.gathered(time_clusters(IndependentViews.of(wider)))
     values = {"aspect": np.array([wider.rig.board.aspect]), "bow": wider.rig.board.bow_m}
     of_block = {name: _columns(wider.names, f"target.{name}") for name in values}
     always = np.setdiff1d(np.arange(len(wider.names)), np.concatenate(list(of_block.values())))
@@ -120,7 +120,7 @@ def _corner_step(solution: RigSolution) -> ModelStep:
     s^2 / sigma^2, before anything else is fitted anew; whether the pattern is there, clusters of views tell.
     """
     residual, point, view = _on_board(solution)
-    pattern = common_pattern(residual, point, time_clusters(solution)[view])
+    pattern = common_pattern(residual, point, time_clusters(IndependentViews.of(solution))[view])
     gain, least = (len(point) * share / max(1 - share, 0.1) for share in (pattern.share, _CORNERS_SHARE))
     spread = abs(gain / pattern.z) if pattern.z else 0.0
     needed = max(spread * NormalDist().inv_cdf(1 - _CORNERS_CHANCE), least)

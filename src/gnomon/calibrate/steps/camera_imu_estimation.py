@@ -32,7 +32,7 @@ from ...options import CameraImuOptions
 from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import Gravity
-from .camera_imu_model import candidate_blocks, proves_board
+from .camera_imu_model import candidate_blocks, proven_board
 from .camera_imu_preparation import PreparedCameraImu
 
 _HUBER = 2.5
@@ -105,7 +105,7 @@ def estimate_rig(
             gate=options.robust,
             max_iterations=options.max_iterations,
             tell=tell,
-            enough=lambda found: proves_board(found, options),
+            proves=lambda found: proven_board(found, options),
         )
         moved = solution.state.parameters
         if _largest_move(moved, state.parameters) < MARGIN_S / 2 or not solution.converged:

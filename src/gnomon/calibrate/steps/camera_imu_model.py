@@ -37,7 +37,7 @@ from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cos
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
-from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters
+from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters, leave_clusters_out
 from ...findings import Finding
 from ...frozen import value_class
 from ...models.target import Target
@@ -210,7 +210,7 @@ def select_model(
     share = 0.0 if own_detector else _LENS_SHARE
     stated = _stated(solution, options)
     base = cache(lambda: _judged(solution, stated, share))
-    steps = {} if _BOARD in stated else {_BOARD: _board_step(solution)}
+    steps = {} if _BOARD in stated else {_BOARD: solution.proven or _board_step(solution)}
     asked, may_have_k3 = _asked(steps, stated), "k3" not in stated and _may_have_k3(solution)
     if not ((asked or lens) and (may_have_k3 or solution.paused)):  # else judged beside k3, or after the next step
         steps |= {step.name: step for step in base().steps}
@@ -311,16 +311,17 @@ def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> Sel
     free = columns.free_index[columns.free_index < columns.dense]
     blocks = [name.partition("[")[0] for name in np.array(columns.names)[free]]
     number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
-    lasts = correlation_time(found.of_parameters(free), np.eye(len(free)), number)
+    lasts = correlation_time(leave_clusters_out(found.of_parameters(free)), number)
     clusters, _ = group_into_clusters(found, max(lasts, 1))
     least = dict.fromkeys(_LENS, _gain(solution, share))
     steps = evaluate_nested_models(clusters[0], solution.layout, solution.state.parameters, stated, least)
     return SelectedModel(solution=solution, sums=found, steps=steps)
 
 
-def proves_board(solution: Solution, options: CameraImuOptions) -> bool:
-    """Tell whether residuals prove that corners of the board lie off their places, where nobody decided on that."""
-    return _BOARD not in _stated(solution, options) and _board_step(solution).used
+def proven_board(solution: Solution, options: CameraImuOptions) -> ModelStep | None:
+    """Return what proves that corners of the board lie off their places, None where nothing does or it is decided."""
+    step = None if _BOARD in _stated(solution, options) else _board_step(solution)
+    return step if step is not None and step.used else None
 
 
 def _board_step(solution: Solution) -> ModelStep:

@@ -19,7 +19,7 @@ from ...estimate.cameras.noise import views_alike
 from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.cameras.views import view_corners
-from ...estimate.trust.clusters import correlation_time, group_into_clusters, held_out_costs
+from ...estimate.trust.clusters import ClusterSums, cluster_length, correlation_time, held_out_costs, leave_clusters_out
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
@@ -269,7 +269,7 @@ def _held_out(found: Mapping[str, RigSolution], views: RigViews, name: str) -> d
     """Return what each model loses on clusters of views that it has not seen, (c,), in one unit for all of them."""
     sigma_px = min(fit.sigma_px[name] for fit in found.values())
     steady = min(found.values(), key=lambda fit: fit.sigma_px[name])
-    cluster = time_clusters(steady)
+    cluster = time_clusters(IndependentViews.of(steady))
     costs: dict[str, Floats] = {}
     for model, fit in found.items():
         own = _robust_costs(fit.corners[name], sigma_px, len(views))
@@ -291,19 +291,34 @@ def _rises(fit: RigSolution, cluster: Integers) -> Floats:
     return np.maximum(held_out_costs(fit.sums.gathered(cluster)), 0.0)
 
 
-def time_clusters(fit: RigSolution) -> Integers:
+@value_class
+class IndependentViews:
+    """Views of an estimate, in groups that look alike; each its own where groups are few.
+
+    Attributes
+    ----------
+    group : (v,) number of the group of each view
+    sums : of the groups
+    moves : (g, p) how the estimate moves when each group is left out
+    """
+
+    group: Integers
+    sums: ClusterSums
+    moves: Floats
+
+    @classmethod
+    def of(cls, fit: RigSolution) -> "IndependentViews":
+        """Return the groups of the views of an estimate."""
+        alike = views_alike(fit.views)
+        group = alike if len(alike) and alike[-1] + 1 >= _FEWEST_GROUPS else np.arange(len(fit.views))
+        sums = fit.sums.gathered(group)
+        return cls(group=group, sums=sums, moves=leave_clusters_out(sums))
+
+
+def time_clusters(views: IndependentViews) -> Integers:
     """Return the number of the cluster of each view, (v,): views of one cluster may share errors, as in a video."""
-    alike = independent_views(fit)
-    sums = fit.sums.gathered(alike)
-    every = np.zeros(sums.pull.shape[1], dtype=np.int64)
-    _, length = group_into_clusters(sums, correlation_time(sums, np.eye(len(every)), every))
-    return alike // length
-
-
-def independent_views(fit: RigSolution) -> Integers:
-    """Return the number (v,) of the group of views that look alike, of each view; each its own where groups are few."""
-    alike = views_alike(fit.views)
-    return alike if len(alike) and alike[-1] + 1 >= _FEWEST_GROUPS else np.arange(len(fit.views))
+    memory = correlation_time(views.moves, np.zeros(views.moves.shape[1], dtype=np.int64))
+    return views.group // cluster_length(len(views.sums), memory)
 
 
 def _robust_costs(seen: SeenCorners, sigma_px: float, views: int) -> Floats:
@@ -354,6 +369,6 @@ def rms_px(fit: RigSolution, name: str) -> tuple[float, float]:
     residual = fit.corners[name].residual
     residual = residual[np.isfinite(residual[:, 0])]
     square = float(np.sum(residual**2))
-    more = 2 * fit.sigma_px[name] ** 2 * float(_rises(fit, time_clusters(fit)).sum())
+    more = 2 * fit.sigma_px[name] ** 2 * float(_rises(fit, time_clusters(IndependentViews.of(fit))).sum())
     count = max(residual.size, 1)
     return float(np.sqrt(square / count)), float(np.sqrt(max(square + more, 0.0) / count))

@@ -14,7 +14,7 @@ from ...recording import Floats
 from ...results.calibration import CameraCalibration
 from ...results.parameters import covariance_names
 from ...results.trust import Trust
-from .camera_lenses import independent_views
+from .camera_lenses import IndependentViews
 
 SCALE = "target.scale"
 """Name of the true size of the board over the stated one."""
@@ -68,7 +68,7 @@ def check_baseline(options: CameraOptions, cameras: int) -> None:
         raise OptionError("baseline: it is the distance of cam1 from cam0, and this recording is of one camera.")
 
 
-def publish_cameras(solution: RigSolution, options: CameraOptions) -> PublishedCameras:
+def publish_cameras(solution: RigSolution, options: CameraOptions, views: IndependentViews) -> PublishedCameras:
     """Return what the estimate says, in frame "cam0"."""
     rig, known = solution.rig, options.baseline is not None
     length = float(np.linalg.norm(rig.T_cam_cam0[1, :3, 3])) if known else 1.0
@@ -90,9 +90,8 @@ def publish_cameras(solution: RigSolution, options: CameraOptions) -> PublishedC
     if known:
         by_baseline = options.baseline_sigma * metric / length
         ordinary += np.outer(by_baseline, by_baseline)
-    sums = solution.sums.gathered(independent_views(solution))
     found = robust_covariance(
-        sums,
+        views.sums,
         jacobian,
         names,
         ordinary,
@@ -100,6 +99,7 @@ def publish_cameras(solution: RigSolution, options: CameraOptions) -> PublishedC
         widened=options.covariance == "robust",
         single=solution.sums,
         order=solution.views.frame.max(axis=1),
+        moves=views.moves,
     )
     return PublishedCameras(
         cameras=cameras,

@@ -18,7 +18,7 @@ from ...estimate.multiposition.scaling import (
 )
 from ...estimate.multiposition.steps import as_table, imu_models
 from ...estimate.trust.changes import estimates_are_judged
-from ...estimate.trust.clusters import correlation_time, group_into_clusters
+from ...estimate.trust.clusters import correlation_time, group_into_clusters, leave_clusters_out
 from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats
@@ -164,9 +164,8 @@ def _steps(
     )
     jacobian = free_jacobian(fit, jacobian)
     sums = segment_sums(fit)
-    clusters = group_into_clusters(sums, correlation_time(sums, jacobian, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][
-        0
-    ]
+    moves = leave_clusters_out(sums) @ jacobian.T
+    clusters = group_into_clusters(sums, correlation_time(moves, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][0]
     nominal, functions = _nominal(problem, units, gravity_m_s2), (fit.data.of_gyroscope, fit.data.of_accelerometer)
     steps = imu_models(clusters, fit.state, nominal, g_sensitivity=stated, functions=functions)
     return as_table(steps, jacobian, blocks_of_scalars(values), forced=stated is not None)

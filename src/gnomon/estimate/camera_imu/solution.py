@@ -9,6 +9,7 @@ from ...errors import SolveError
 from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats
+from ...results.trust import ModelStep
 from ...solve.bordered_band import Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, error_terms, linearize_batch
 from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search
@@ -53,7 +54,7 @@ class Solution:
     lin, step : last linearisation and the step from it to the estimate; step.covariance is that of the free parameters
     iterations : how it went
     converged : whether it came to rest, or was on its way when it was paused
-    paused : whether it was left before it came to rest, as a larger model is estimated from here
+    proven : the step for which it was left before it came to rest, as a larger model is estimated from here, or None
     """
 
     state: RigState
@@ -65,7 +66,12 @@ class Solution:
     step: GaussNewtonStep
     iterations: tuple[Iteration, ...]
     converged: bool
-    paused: bool = False
+    proven: ModelStep | None = None
+
+    @property
+    def paused(self) -> bool:
+        """Whether it was left before it came to rest."""
+        return self.proven is not None
 
     def spare_workspace(self) -> Workspace:
         """Return memory for another solution: that of the equations, of which the factor alone is needed on."""
@@ -104,7 +110,7 @@ def minimise_cost(
     stage: str = "estimating",
     workspace: Workspace | None = None,
     before: tuple[float, float] | None = None,
-    enough: Callable[[Solution], bool] = lambda _: False,
+    proves: Callable[[Solution], ModelStep | None] = lambda _: None,
 ) -> Solution:
     """Minimise the cost from a start.
 
@@ -118,7 +124,7 @@ def minimise_cost(
     gate : leave out frames that fit badly as a whole
     tell, stage : called with how far this stage is
     before : largest and length of the step that led to the start, by equations with the columns of `extended`
-    enough : asked near the minimum, once noise levels and frames are roughly known: whether to pause there
+    proves : asked near the minimum, once noise levels and frames are roughly known: for which step to pause there
 
     Raises
     ------
@@ -171,10 +177,9 @@ def minimise_cost(
                         step=step,
                         iterations=tuple(iterations),
                         converged=True,
-                        paused=True,
                     )
-                    if enough(here):
-                        return here
+                    if (proven := proves(here)) is not None:
+                        return replace(here, proven=proven)
                 lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
                 largest, length = step.largest, step.length
                 step, since = _step(lin), len(iterations)

@@ -12,7 +12,14 @@ from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import Clusters, ParameterChange, SigmaRatio, Splits, Trust
 from .changes import estimates_are_judged, parameter_changes
-from .clusters import ClusterSums, Robust, correlation_time, group_into_clusters, robust_variances
+from .clusters import (
+    ClusterSums,
+    Robust,
+    correlation_time,
+    group_into_clusters,
+    leave_clusters_out,
+    robust_variances,
+)
 from .parts import Split, part_agreement, part_differences
 
 _FEWEST_IN_PART = 5  # stretches
@@ -67,6 +74,7 @@ def robust_covariance(
     single: ClusterSums | None = None,
     order: Integers | None = None,
     by_cause: Callable[[], ParameterChange | None] | None = None,
+    moves: Floats | None = None,
 ) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
@@ -85,12 +93,13 @@ def robust_covariance(
     single, order : sums of single views, and their numbers as they were recorded, by which changes are looked for;
         those of the stretches where not given
     by_cause : see `parameter_changes`
+    moves : what `leave_clusters_out` returns for the sums, where that is known
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     number = {path: k for k, path in enumerate(dict.fromkeys(paths))}
     block = np.array([number[path] for path in paths])
     estimated = np.diag(ordinary) > 0
-    remembered = correlation_time(sums, jacobian, block)
+    remembered = correlation_time((leave_clusters_out(sums) if moves is None else moves) @ jacobian.T, block)
     phases, length = group_into_clusters(sums, remembered)
     found = robust_variances(phases, jacobian, block)
     if not widened:

@@ -236,7 +236,8 @@ def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Flo
     size = 1 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
     information = sums.information * np.outer(size, size)
     total = total * np.outer(size, size)
-    arms = (jacobian * size) @ np.linalg.inv(total - information)  # (c, m, p): what a pull of each cluster moves
+    arms = np.linalg.solve(total - information, (jacobian * size).T).swapaxes(1, 2)
+    arms = np.ascontiguousarray(arms)  # (c, m, p): what a pull of each cluster moves
     moves = np.einsum("cmp,cp->cm", arms, sums.pull * size)
     seen = arms @ information
     # At the estimate a cluster pulls as its errors do, less its share of what all errors pull together.
@@ -263,15 +264,14 @@ def _shrunk(raw: Floats, freedom: Floats, block: Integers) -> Floats:
     return np.asarray(np.maximum((freedom * raw + _BLOCK_COUNTS * of_block) / (freedom + _BLOCK_COUNTS), _LEAST))
 
 
-def correlation_time(sums: ClusterSums, jacobian: Floats, block: Integers) -> int:
+def correlation_time(moves: Floats, block: Integers) -> int:
     """Return over how many stretches of time errors are correlated, by what each stretch moves in a block of scalars.
 
     Parameters
     ----------
-    sums : of single stretches
-    jacobian, block : as in `robust_variances`
+    moves : (c, m) of scalars, by single stretches that are left out
+    block : as in `robust_variances`
     """
-    moves = leave_clusters_out(sums) @ jacobian.T
     size = np.linalg.norm(moves, axis=0)
     moves = moves / np.where(size > 0, size, 1.0)
     longest = 0
@@ -285,6 +285,11 @@ def correlation_time(sums: ClusterSums, jacobian: Floats, block: Integers) -> in
     return longest
 
 
+def cluster_length(stretches: int, memory: int) -> int:
+    """Return how many of the stretches make a cluster that outlasts the memory."""
+    return max(min(1 + 2 * memory, stretches // _FEWEST), 1)
+
+
 def group_into_clusters(sums: ClusterSums, memory: int) -> tuple[list[ClusterSums], int]:
     """Return sums of clusters that outlast the memory, cut with two sets of borders, and how many stretches they have.
 
@@ -293,7 +298,7 @@ def group_into_clusters(sums: ClusterSums, memory: int) -> tuple[list[ClusterSum
     sums : of single stretches
     memory : over how many of them errors are correlated
     """
-    length = max(min(1 + 2 * memory, len(sums) // _FEWEST), 1)
+    length = cluster_length(len(sums), memory)
     number = np.arange(len(sums))
     shifts = [0] if length == 1 else [0, length // 2]
     return [sums.gathered((number + shift) // length) for shift in shifts], length

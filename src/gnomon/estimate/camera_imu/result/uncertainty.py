@@ -164,7 +164,7 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
     scalars[len(free) :, : len(free)] = schur_sides[free].T
     scalars = scalars @ along
     block = _block_numbers(found.names, means)[kept]
-    lasts = correlation_time(own, scalars[kept], block)
+    lasts = correlation_time(leave_clusters_out(own) @ scalars[kept].T, block)
     phases, length = group_into_clusters(own, max(lasts, _LEAST_MEMORY))
     wider = cluster_robust_covariance(phases, scalars[kept], block)
     stretch_s = float(np.median(np.diff(sums.t_s)))

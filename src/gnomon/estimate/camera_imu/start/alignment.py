@@ -273,7 +273,7 @@ def _explains(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral, 
     spread, _ = _principal_rates(window, np.ones(len(window.first), dtype=bool))
     if spread[1] < _WINDOW_RAD_S:
         return True
-    off = np.linspace(-_FINE_S, _FINE_S, 17)
+    off = np.linspace(-_FINE_S, _FINE_S, 9)
     trials = _hand_eyes(window, integral, shift + off)
     best = int(np.argmin([trial.cost for trial in trials]))
     if trials[best].explained > _PLAIN and abs(off[best]) <= _LEAST_STEP_S / 4:  # finer steps would not lead away
