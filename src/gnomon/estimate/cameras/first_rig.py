@@ -10,7 +10,7 @@ from ...models.camera import Camera
 from ...recording import Floats, Integers
 from .board_shape import stated_shape
 from .first_lens import first_lens
-from .poses import first_poses, settle_poses
+from .poses import MOST_STEPS, first_poses, settle_poses
 from .rig import CameraRig, RigViews
 from .views import camera_corners, renumber_camera, view_corners
 
@@ -47,7 +47,12 @@ def first_lenses(views: RigViews, models: Mapping[str, str]) -> dict[str, Camera
 
 
 def posed_rig(
-    views: RigViews, cameras: Mapping[str, Camera], T_cam_cam0: Floats, board: CameraRig | None = None
+    views: RigViews,
+    cameras: Mapping[str, Camera],
+    T_cam_cam0: Floats,
+    board: CameraRig | None = None,
+    *,
+    steps: int = MOST_STEPS,
 ) -> CameraRig:
     """Return a rig with the pose of every view, found anew.
 
@@ -57,6 +62,7 @@ def posed_rig(
     cameras : "cam0", ... -> lens
     T_cam_cam0 : (c, 4, 4)
     board : a rig whose shape of the board is taken; as stated where there is none
+    steps : of each view, at most
     """
     corners = camera_corners(views)
     R, p = np.broadcast_to(np.eye(3), (len(views), 3, 3)).copy(), np.zeros((len(views), 3))
@@ -78,7 +84,7 @@ def posed_rig(
         p_cam0_target=p,
         board=stated_shape(views.target) if board is None else board.board,
     )
-    return settle_poses(corners, views.target, rig)[0]
+    return settle_poses(corners, views.target, rig, steps=steps)[0]
 
 
 def cameras_apart(views: RigViews, cameras: Mapping[str, Camera]) -> Floats:

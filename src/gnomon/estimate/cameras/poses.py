@@ -16,7 +16,7 @@ from .normal import ViewNormalEquations, accumulate_normal_equations, inverse_po
 from .rig import CameraRig
 from .views import CameraCorners
 
-_STEPS = 12
+MOST_STEPS = 12
 _AT_REST = 1e-8  # of the cost, of all views or of one
 _FEWER = 0.75  # of the views that are moved, from which on the others are not looked at any more
 _WEIGHED = (1, 3)  # steps before which the scatter is found anew
@@ -36,7 +36,7 @@ def settle_poses(
     target: Target,
     rig: CameraRig,
     *,
-    steps: int = _STEPS,
+    steps: int = MOST_STEPS,
     noise: Mapping[str, CornerNoise] | None = None,
 ) -> tuple[CameraRig, Floats]:
     """Return the rig with each view's pose where its own robust cost is least, and that cost (v,).

@@ -59,15 +59,13 @@ class ClusterSums:
         numbers, which = np.unique(cluster, return_inverse=True)
         if len(numbers) == len(self) and (np.diff(cluster) > 0).all():
             return self
-        order = np.argsort(which, kind="stable")
-        first = np.searchsorted(which[order], np.arange(len(numbers)))
-        order = order if (np.diff(order) < 0).any() else slice(None)  # many parameters: no copy where none is needed
-        return replace(
-            self,
-            t_s=np.add.reduceat(self.t_s[order], first) / np.bincount(which),
-            pull=np.add.reduceat(self.pull[order], first),
-            information=np.add.reduceat(self.information[order], first),
-        )
+        count, size = len(numbers), len(self.prior_pull)
+        pull, information = np.zeros((count, size)), np.zeros((count, size, size))
+        for number, own, told in zip(which.tolist(), self.pull, self.information, strict=True):
+            pull[number] += own  # one by one: of many parameters a copy in another order would be large
+            information[number] += told
+        t_s = np.bincount(which, self.t_s) / np.bincount(which)
+        return replace(self, t_s=t_s, pull=pull, information=information)
 
     def moved(self, step: Floats) -> tuple["ClusterSums", Floats]:
         """Return the sums at other values, a step (p,) away, and by how much the cost of each stretch grows, (c,)."""

@@ -6,16 +6,19 @@ an estimate that has neither, before anything is estimated anew.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ....frozen import value_class
 from ....models.camera import Camera
 from ....recording import Floats, Integers
-from ..solution import Solution
 from ..terms.corner_sums import exposure_chunks
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
+
+if TYPE_CHECKING:
+    from ..solution import Solution
 
 _CLUSTER_S = 2.0
 _CELLS = (8, 6)  # of the image, across and down
@@ -164,7 +167,7 @@ def _chance(products: Floats) -> float:
     return float((1 + np.sum(drawn >= products.sum())) / (1 + _DRAWS))
 
 
-def counting_corners(solution: Solution) -> list[CountingCorners]:
+def counting_corners(solution: "Solution") -> list[CountingCorners]:
     """Return the corners of every camera that count, at the estimate."""
     trajectory, parameters = solution.state.trajectory, solution.state.parameters
     found: list[CountingCorners] = []

@@ -10,15 +10,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ....kernel import library
 from ....recording import Floats, Integers
-from ....solve.bordered_band import BorderedBand
 from ..layout import BorderLayout
 from ..trajectory import BIAS, POSE, KnotGrid
+
+if TYPE_CHECKING:
+    from ....solve.bordered_band import BorderedBand
 
 TRIAD = 3
 """Scalars of the bias of one triad."""
@@ -141,7 +143,7 @@ def scalar_groups(imus: int) -> tuple[int, ...]:
     return (POSE, *(BIAS,) * imus)
 
 
-def summed_up(system: BorderedBand, grid: KnotGrid, terms: Iterable[Term]) -> None:
+def summed_up(system: "BorderedBand", grid: KnotGrid, terms: Iterable[Term]) -> None:
     """Add all terms to the normal equations."""
     compiled = library.load_kernel() is not None
     for term in terms:
@@ -169,7 +171,7 @@ def taken_together(term: Term) -> Iterator[slice]:
         yield slice(begin, end)
 
 
-def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
+def _add_spans(system: "BorderedBand", columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
     """Add the sums (s, border, w) of some spans (s,), which overlap each other, to the normal equations."""
     if library.load_kernel() is not None:
         library.add_spans(sums, spans, _compiled_band(system, columns, offset))
@@ -211,7 +213,7 @@ def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integ
         add_tail(control, slice(POSE + BIAS * columns.imu, POSE + BIAS * (columns.imu + 1)), rows)
 
 
-def _compiled_band(system: BorderedBand, columns: Columns, offset: int) -> library.Band:
+def _compiled_band(system: "BorderedBand", columns: Columns, offset: int) -> library.Band:
     """Return the normal equations as the compiled kernel takes them."""
     band, imu = system.band, columns.imu
     of_biases = (None,) * 3 if imu is None else (band[0][1 + imu], band[1 + imu][0], band[1 + imu][1 + imu])
@@ -226,7 +228,7 @@ def _compiled_band(system: BorderedBand, columns: Columns, offset: int) -> libra
     )
 
 
-def _add_corner(system: BorderedBand, columns: Columns, products: Floats) -> None:
+def _add_corner(system: "BorderedBand", columns: Columns, products: Floats) -> None:
     """Add the products of the rows' last columns, from the border on, to the normal equations of the border."""
     start, side = columns.border, columns.side - columns.border
     for to, own in columns.pieces:

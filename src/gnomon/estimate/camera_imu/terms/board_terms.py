@@ -14,16 +14,17 @@ of `BorderedBand`); with everything else summed up over the exposures.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 from ....frozen import value_class
 from ....models.target import Target
 from ....recording import Floats, Integers
-from ....solve.bordered_band import BorderedBand
 from ..trajectory import BIAS, POSE
+
+if TYPE_CHECKING:
+    from ....solve.bordered_band import BorderedBand
 
 OFFSETS = "target.offsets"
 """Name of the block of these shifts."""
@@ -176,6 +177,8 @@ def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[
         dense = np.zeros((exposures, POSE, points, _AXES))
         dense[place, :, point] = by_twist
         return dense.reshape(exposures * POSE, points * _AXES)
+    from scipy.sparse import csr_array  # loaded where it is needed: `gnomon camera` never needs it
+
     # Rolling shutter: each corner has an exposure of its own.
     rows = POSE * place[:, None, None] + np.arange(POSE)[:, None]
     columns = _AXES * point[:, None, None] + np.arange(_AXES)
@@ -196,6 +199,8 @@ def multiply_blocks(blocks: Floats, products: PoseProducts) -> PoseProducts:
             some = slice(begin, begin + _TOGETHER)
             rows[some] = blocks[some] @ rows[some]
         return products
+    from scipy.sparse import bsr_array
+
     every = np.arange(len(blocks) + 1)
     return bsr_array((blocks, every[:-1], every)).tocsr() @ products
 
@@ -240,6 +245,8 @@ class Coupling:
         if isinstance(products, np.ndarray):
             found = weight @ products.reshape(len(at), POSE * products.shape[1])
         else:
+            from scipy.sparse import csr_array, eye_array, kron
+
             spread = csr_array(kron(csr_array(weight), eye_array(POSE)))
             found = cast(csr_array, spread @ products).toarray()
         return found.reshape(count, POSE, -1)
@@ -277,7 +284,7 @@ class BoardBorder:
         """Let go of what the cameras saw."""
         self._cameras = []
 
-    def fill(self, system: BorderedBand, cameras: Sequence[Coupling]) -> None:
+    def fill(self, system: "BorderedBand", cameras: Sequence[Coupling]) -> None:
         """Take what the cameras saw, and add what does not concern the trajectory to the normal equations."""
         self._cameras = list(cameras)
         p = len(system.corner) - self.size
