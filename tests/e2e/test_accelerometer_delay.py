@@ -148,6 +148,23 @@ def behind_a_filter(simulation, triad, cutoff_hz):
     )
 
 
+def test_an_axis_with_another_scale_for_negative_readings_is_named():
+    """Of 1 % the camera's rotation is 0.1 deg off, by 8 sigma."""
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=32.0), 942010)
+    imu = simulation.recording.imus["imu0"]
+    values = imu.accelerometer.values * np.where(imu.accelerometer.values < 0, 1.01, 1.0)
+    lopsided = replace(imu, accelerometer=replace(imu.accelerometer, values=values))
+    recording = replace(simulation.recording, imus={"imu0": lopsided}, sources=())
+    found, *others = findings_of(calibrate_camera_imu(recording, simulation.target), "scale-asymmetry")
+    assert found.severity == "warning"
+    assert found.message.startswith("The accelerometer of imu0 shows negative readings of its ")
+    assert "larger than positive ones" in found.message
+    share, sigma = (float(found.message.partition(", by ")[2].split(" ")[k]) for k in (0, 2))
+    assert abs(share - 1.0) < 3 * sigma < 0.9
+    assert all("accelerometer" in other.message for other in others)
+    assert findings_of(calibrate_camera_imu(simulation.recording, simulation.target), "scale-asymmetry") == []
+
+
 @pytest.mark.long
 def test_a_filter_that_is_not_quite_told_is_in_the_sigmas_as_far_as_it_is_likely():
     """20 Hz are told by 2.7 sigma where 3 are asked; the place of the camera was 8.4 sigma off."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..estimate.camera_imu.layout import BorderLayout
     from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
     from ..estimate.camera_imu.result.publish import PublishedRig
-    from ..estimate.camera_imu.result.uncertainty import FilteredTriad, Uncertainty
+    from ..estimate.camera_imu.result.uncertainty import TriadMisfit, Uncertainty
     from ..models.camera import Camera
 
 
@@ -96,21 +96,40 @@ def _delay(name: str, shift_s: float, sigma_s: float) -> Finding:
     )
 
 
-def filters_found(filters: "Sequence[FilteredTriad]") -> list[Finding]:
-    """Say which triads show fast motion smaller than it is; a warning where that moves a parameter."""
-    return [
-        make_finding(
-            "triad-filtered",
-            severity="warning" if one.moved > 1 and one.q > _FILTERED * one.sigma else "info",
-            name=f"imu{one.imu}",
-            triad=("gyroscope", "accelerometer")[one.kind],
-            share=one.q * _FAST_RAD_S**2,
-            sigma=one.sigma * _FAST_RAD_S**2,
-            cutoff_hz=1 / (2 * pi * sqrt(2 * one.q)),
-            moved=one.moved,
-        )
-        for one in filters
-    ]
+def misfits_found(misfits: "Sequence[TriadMisfit]") -> list[Finding]:
+    """Say which triads show fast motion too small, or have another scale for negative readings.
+
+    It is a warning where that is certain and moves a parameter by more than its standard deviation.
+    """
+    findings: list[Finding] = []
+    for one in misfits:
+        name, triad = f"imu{one.imu}", ("gyroscope", "accelerometer")[one.kind]
+        severity = "warning" if one.moved > 1 and abs(one.size) > _FILTERED * one.sigma else "info"
+        if one.axis is None:
+            found = make_finding(
+                "triad-filtered",
+                severity=severity,
+                name=name,
+                triad=triad,
+                share=one.size * _FAST_RAD_S**2,
+                sigma=one.sigma * _FAST_RAD_S**2,
+                cutoff_hz=1 / (2 * pi * sqrt(2 * one.size)),
+                moved=one.moved,
+            )
+        else:
+            found = make_finding(
+                "scale-asymmetry",
+                severity=severity,
+                name=name,
+                triad=triad,
+                axis="xyz"[one.axis],
+                way="smaller" if one.size > 0 else "larger",
+                share=2 * abs(one.size),
+                sigma=2 * one.sigma,
+                moved=one.moved,
+            )
+        findings.append(found)
+    return findings
 
 
 def steps_left_out(failed: Mapping[str, str]) -> list[Finding]:

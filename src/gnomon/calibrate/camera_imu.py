@@ -28,7 +28,7 @@ from ..assess.weak_findings import (
     added_findings,
     camera_imu_weak,
     delays_found,
-    filters_found,
+    misfits_found,
     out_of_order,
     prior_used,
     steps_left_out,
@@ -36,7 +36,7 @@ from ..assess.weak_findings import (
 from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.layout import Status
-from ..estimate.camera_imu.result.filter_response import with_filters
+from ..estimate.camera_imu.result.filter_response import with_misfits
 from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
 from ..estimate.camera_imu.result.publish import publish_rig
 from ..estimate.camera_imu.result.recording_trust import recording_trust
@@ -204,7 +204,7 @@ def _with_uncertainty(
     certain = with_detector_scale(certain, solution.state.parameters, detectors)
     if sums is not None:
         certain = with_next_term(certain, solution)
-    certain = with_filters(certain, solution)
+    certain = with_misfits(certain, solution)
     return _with_origins(solution, certain, estimation_choices(start, options).status)
 
 
@@ -241,7 +241,7 @@ def _assess(
         *model_incomplete(trust, likely),
         *parts_disagree(trust.splits),
         *time_shift_varies(trust),
-        *filters_found(certain.filters),
+        *misfits_found(certain.misfits),
     )
     uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
     shutters, state = shutters_estimated(prepared.findings, result.cameras, uncertain), solution.state.parameters

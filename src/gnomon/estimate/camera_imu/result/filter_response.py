@@ -3,10 +3,13 @@
 A filter of first order with the time constant tau does to a motion x, but for a delay, x + q x'' with q = tau^2 / 2, to
 the second order of tau times the frequency of the motion. The delay is in the time shifts and in that of the
 accelerometer; q is held at zero, and tested by the step that it would take if it were free (a score test, Rao 1948).
+
+So is an axis whose scale is another one for negative readings: x + c |x| (scale factor asymmetry, IEEE 528).
 """
 
 from dataclasses import replace
 from math import ceil, erfc, exp, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,25 +22,27 @@ from ..terms.imu_prediction import predicted_readings
 from ..terms.inertial_data import InertialData
 from ..trajectory import BIAS, POSE
 from .cluster_sums import bias_sides
-from .uncertainty import FilteredTriad, Uncertainty
+from .uncertainty import TriadMisfit, Uncertainty
 
 _LEAST_APART_S = 0.01  # between the readings whose second difference is x'': motion up to some 15 Hz counts
 _ASKED = 3.0  # sigmas
 _SHARE, _USUAL_S2 = 0.2, 32e-6  # of triads that have a filter, and its q: that of 20 Hz
 _LEAST_SHARE = 1e-6  # of x'' that the rest must leave
 _HELD = {"gravity.magnitude": 0.02, "target.scale": 3e-3}  # m/s^2, 1; what is held may be off by, and feigns a filter
+_PROBES = 4  # of a triad: x'', and |x| of each axis
+_ASYMMETRY, _LOPSIDED = 0.01, 4.5  # what c may be at all; sigmas that are asked for of one of six
 _SHAPES = (("S_g", "M_g", "q_bg"), ("S_a", "M_a"))
 
 
-def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
-    """Return the uncertainty with that by filters, by how likely they are (Schmidt), and name those that are proved.
+def with_misfits(found: Uncertainty, solution: Solution) -> Uncertainty:
+    """Return the uncertainty with that by filters, by how likely they are (Schmidt), and with what is proved.
 
     Only triads whose scales and axes are estimated are looked at: errors of these look like x'', too. So do those of
     gravity and of the board's size, which may move along by what they usually are off.
     """
     step, free, means = solution.step, solution.layout.free_index, bias_sides(solution)
-    ratios = [_ratio(found, imu, kind) for imu in range(len(solution.noise.imus)) for kind in (0, 1)]
-    if not any(ratios):
+    ratios = np.array([_ratio(found, imu, kind) for imu in range(len(solution.noise.imus)) for kind in (0, 1)])
+    if not ratios.any():
         return found
     right, border, own, pull = _products(solution)
     inner, with_sides, sides = step.factor.further_sides(right, border, np.concatenate([[0], means]))
@@ -45,23 +50,59 @@ def with_filters(found: Uncertainty, solution: Solution) -> Uncertainty:
     along_with = also.covariance @ sides[also.columns]
     pull -= with_sides[0] + step.factor.schur_sides[also.columns, 0] @ along_with
     information = np.diag(own) - inner - sides[also.columns].T @ along_with
-    told = np.flatnonzero((np.diag(information) > _LEAST_SHARE * own) & (np.array(ratios) > 0))
-    information = information[np.ix_(told, told)]
+    moves = np.concatenate([moves, with_sides[1:] + step.factor.schur_sides[free][:, means].T @ moves])
+    score = _Score(information, own, pull, moves, ratios)
+    filters, added = _filters(found, score)
+    misfits = (*filters, *_asymmetries(found, score))
+    return replace(found, covariance=found.covariance + added, ordinary=found.ordinary + added, misfits=misfits)
+
+
+class _Score(NamedTuple):
+    """Of the probes: information (k, k), own one (k,), pull (k,), moves (f + 6 m, k); of the triads `_ratio` (2 m,)."""
+
+    information: Floats
+    own: Floats
+    pull: Floats
+    moves: Floats
+    ratios: Floats
+
+    def misfit(self, found: Uncertainty, probe: int, size: float, variance: float) -> TriadMisfit:
+        triad, axis = divmod(probe, _PROBES)
+        return TriadMisfit(
+            imu=triad // 2,
+            kind=triad % 2,
+            axis=axis - 1 if axis else None,
+            size=float(size),
+            sigma=float(np.sqrt(variance) * self.ratios[triad]),
+            moved=float(np.max(np.abs(size * self.moves[:, probe]) / np.sqrt(np.diag(found.covariance)))),
+        )
+
+
+def _filters(found: Uncertainty, score: _Score) -> tuple[list[TriadMisfit], Floats]:
+    """Return the triads that are proved to be filtered, and what filters add to the covariance."""
+    triads, added = _PROBES * np.arange(len(score.ratios)), np.zeros_like(found.covariance)
+    told = triads[(np.diag(score.information) > _LEAST_SHARE * score.own)[triads] & (score.ratios > 0)]
+    information = score.information[np.ix_(told, told)]
     if not len(told) or np.linalg.det(information) <= _LEAST_SHARE * np.prod(np.diag(information)):
-        return found  # the trajectory, or one triad the other's, takes up all of it
+        return [], added  # the trajectory, or one triad the other's, takes up all of it
     covariance = np.linalg.inv(information)
-    moves = np.concatenate([moves, with_sides[1:] + step.factor.schur_sides[free][:, means].T @ moves])[:, told]
-    filters: list[FilteredTriad] = []
-    sigmas, added = np.sqrt(np.diag(found.covariance)), np.zeros_like(found.covariance)
-    for k, q, variance, along in zip(told.tolist(), covariance @ pull[told], np.diag(covariance), moves.T, strict=True):
-        sigma = float(np.sqrt(variance)) * ratios[k]
-        if q < -_ASKED * sigma:
-            return found  # no filter of first order makes fast motion larger: another one, whose noise is not white
-        if q > _ASKED * sigma:
-            moved = float(np.max(np.abs(q * along) / sigmas))
-            filters.append(FilteredTriad(imu=k // 2, kind=k % 2, q=float(q), sigma=sigma, moved=moved))
-        added += np.outer(along, along) * expected_square(q, sigma)
-    return replace(found, covariance=found.covariance + added, ordinary=found.ordinary + added, filters=tuple(filters))
+    sizes = covariance @ score.pull[told]
+    misfits = [score.misfit(found, *one) for one in zip(told.tolist(), sizes, np.diag(covariance), strict=True)]
+    if any(one.size < -_ASKED * one.sigma for one in misfits):
+        return [], added  # no filter of first order makes fast motion larger: another one, whose noise is not white
+    for one, along in zip(misfits, score.moves[:, told].T, strict=True):
+        added += np.outer(along, along) * expected_square(one.size, one.sigma)
+    return [one for one in misfits if one.size > _ASKED * one.sigma], added
+
+
+def _asymmetries(found: Uncertainty, score: _Score) -> list[TriadMisfit]:
+    """Return the axes that are proved to have another scale for negative readings."""
+    chosen = np.flatnonzero((np.arange(len(score.own)) % _PROBES > 0) & (np.repeat(score.ratios, _PROBES) > 0))
+    information = score.information[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / _ASYMMETRY**2
+    covariance = np.linalg.inv(information)
+    sizes = covariance @ score.pull[chosen]
+    misfits = [score.misfit(found, *one) for one in zip(chosen.tolist(), sizes, np.diag(covariance), strict=True)]
+    return [one for one in misfits if abs(one.size) > _LOPSIDED * one.sigma]
 
 
 def expected_square(q: float, sigma: float) -> float:
@@ -113,28 +154,29 @@ def _ratio(found: Uncertainty, imu: int, kind: int) -> float:
 
 
 def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the products of x'' of each triad, as a right-hand side, with the rows of its readings.
+    """Return the products of the probes of each triad, as a right-hand side, with the rows of its readings.
 
     Returns
     -------
-    right : (n, d, 2 m) columns of the control points, of gyroscope and accelerometer of each IMU
-    border : (p, 2 m) columns of the border, but for the corners of a board
-    own, pull : (2 m,) x'' itself, and minus the residuals
+    right : (n, d, 8 m) columns of the control points, of gyroscope and accelerometer of each IMU
+    border : (p, 8 m) columns of the border, but for the corners of a board
+    own, pull : (8 m,) the probe itself, and minus the residuals
     """
-    state, grid, count = _linearised_at(solution), solution.state.trajectory.grid, 2 * len(solution.noise.imus)
+    state, grid = _linearised_at(solution), solution.state.trajectory.grid
+    count = 2 * _PROBES * len(solution.noise.imus)
     right = np.zeros((grid.controls, solution.step.factor.size, count))
     border, own, pull = np.zeros((solution.layout.dense, count)), np.zeros(count), np.zeros(count)
     measured = replace(solution.measurements, visual=(), used=())
     for term in error_terms(measured, state, solution.layout, solution.noise, probing=False)[0]:
-        columns, imu, bends = term.columns, term.data.imu, _second_differences(term.data, solution)
+        columns, imu, probes = term.columns, term.data.imu, _probes(term.data, solution)
         biases = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
         for part in taken_together(term):
             rows, first = term.rows(part), term.first[part]
             begins = np.flatnonzero(np.diff(first, prepend=-1))
             spans = first[begins]
-            for number, (kind, bent) in enumerate(bends):
-                of_triad, k = rows[:, TRIAD * number : TRIAD * (number + 1)], 2 * imu + kind
-                sums = np.add.reduceat(np.einsum("nr,nrw->nw", bent[part], of_triad), begins)
+            for number, k, axes, shape in probes:
+                of_triad = rows[:, TRIAD * number :][:, axes]
+                sums = np.add.reduceat(np.einsum("nr,nrw->nw", shape[part], of_triad), begins)
                 for a in range(grid.order):
                     right[spans + a, :POSE, k] += sums[:, POSE * a : POSE * (a + 1)]
                 for knot in (0, 1):
@@ -142,7 +184,7 @@ def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
                 for to, at in columns.pieces:
                     border[to, k] += sums[:, at].sum(axis=0)
                 pull[k] += sums[:, columns.side].sum()
-                own[k] += np.vdot(bent[part], bent[part])
+                own[k] += np.vdot(shape[part], shape[part])
     return right, border, own, pull
 
 
@@ -154,10 +196,11 @@ def _linearised_at(solution: Solution) -> RigState:
     return RigState(trajectory=trajectory, parameters=solution.layout.plus(state.parameters, -solution.step.parameters))
 
 
-def _second_differences(data: InertialData, solution: Solution) -> list[tuple[int, Floats]]:
-    """Return x'' of what the triads of some readings should have read, (n, 3), in the noise of a reading.
+def _probes(data: InertialData, solution: Solution) -> list[tuple[int, int, slice, Floats]]:
+    """Return the triads' places in some readings, numbers of probes, their axes, and the probes in noises of a reading.
 
-    They lie whole knots apart: what a spline cannot follow repeats with the knots, and is in the residuals, too.
+    Of what the triad should have read, they are x'' (n, 3), and |x| of each axis (n, 1). The readings that tell x'' lie
+    whole knots apart: what a spline cannot follow repeats with the knots, and is in the residuals, too.
     """
     state, noise = solution.state, solution.noise.imus[data.imu]
     spacing_s = state.trajectory.grid.spacing_s
@@ -166,9 +209,13 @@ def _second_differences(data: InertialData, solution: Solution) -> list[tuple[in
         predicted_readings(state.trajectory, state.parameters, replace(data, t_s=data.t_s + shift_s))
         for shift_s in (-apart_s, 0.0, apart_s)
     )
+    found: list[tuple[int, int, slice, Floats]] = []
     triads = ((data.gyroscope, noise.gyroscope), (data.accelerometer, noise.accelerometer))
-    return [
-        (kind, np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * (triad.used / (sigma * apart_s**2))[:, None])
-        for kind, (triad, sigma) in enumerate(triads)
-        if triad is not None
-    ]
+    there = [(kind, triad, sigma) for kind, (triad, sigma) in enumerate(triads) if triad is not None]
+    for number, (kind, triad, sigma) in enumerate(there):
+        scale, first = (triad.used / sigma)[:, None], _PROBES * (2 * data.imu + kind)
+        bent = np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * scale / apart_s**2
+        found.append((number, first, slice(TRIAD), bent))
+        size = np.abs(np.nan_to_num(at[kind])) * scale
+        found += [(number, first + 1 + i, slice(i, i + 1), size[:, i : i + 1]) for i in range(TRIAD)]
+    return found

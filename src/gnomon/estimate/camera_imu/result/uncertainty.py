@@ -77,19 +77,21 @@ class TimeClusters:
 
 
 @value_class
-class FilteredTriad:
-    """A triad that shows fast motion smaller than it is.
+class TriadMisfit:
+    """What a triad shows beside its model: fast motion smaller than it is, or another scale for negative readings.
 
     Attributes
     ----------
     imu, kind : number of the IMU; 0 for its gyroscope, 1 for its accelerometer
-    q, sigma : of x + q x'' [s^2]
+    axis : whose scale is asymmetric, x + size |x|; None where the triad is filtered, x + size x'' [s^2]
+    size, sigma : of it
     moved : largest error by it of a parameter, in sigmas
     """
 
     imu: int
     kind: int
-    q: float
+    axis: int | None
+    size: float
     sigma: float
     moved: float
 
@@ -106,7 +108,7 @@ class Uncertainty:
     bias_mean : (m, 6) means of the biases over the trajectory, gyroscope [rad/s] and accelerometer [m/s^2]
     held : by block name
     by_time : clusters of time from which the covariance comes; None for independent errors
-    filters : triads that are proved to be filtered
+    misfits : that are proved
     """
 
     names: tuple[str, ...]
@@ -115,7 +117,7 @@ class Uncertainty:
     bias_mean: Floats
     held: dict[str, FixedParameterEffect]
     by_time: "TimeClusters | None" = None
-    filters: tuple[FilteredTriad, ...] = ()
+    misfits: tuple[TriadMisfit, ...] = ()
 
 
 def solution_uncertainty(
