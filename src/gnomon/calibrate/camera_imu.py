@@ -155,6 +155,7 @@ def _calibrated(  # noqa: PLR0917
         raise SolveError(f"{error}{likely_cause(prepared.findings, prepared.move)}") from error
     detectors = {name: frames.detector_scale_sigma for name, frames in rig.recording.cameras.items()}
     chosen = select_model(first, estimated, tell, lens=lens, own_detector=not any(detectors.values()))
+    del first  # its factor is large
     solution, certain = _with_uncertainty(chosen, estimated, detectors)
     slopes = biases_over_temperature(solution, certain, recording, prepared.origin_ns, told)
     if slopes is not None and set(slopes.blocks) != (set() if told is None else {part for part, _ in told.parts()}):

@@ -18,6 +18,7 @@ to the Schur complement, and are forgotten.
 """
 
 from collections.abc import Iterator
+from itertools import repeat
 from math import prod
 from typing import Protocol
 
@@ -338,16 +339,13 @@ class Factor:
         """
         blocks, s = self.lower.shape[:2]
         border, wide = s + free[free < self.narrow], free[free >= self.narrow] - self.narrow
-        beyond = np.empty((blocks, len(wide), s))
-        if self.wide is not None and len(wide):
-            for first, rows in _wide_rows(self.wide, self):
-                beyond[first : first + len(rows)] = rows[:, :, wide].swapaxes(1, 2)
+        beyond = repeat(np.zeros((s, 0))) if self.wide is None else _wide_rows_back(self.wide, self)
         result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
         own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
         for k in range(blocks - 1, -1, -1):
             inverse = dtrtri(self.lower[k].T, lower=1)[0]
             gain = inverse.T @ self.eliminated[k, :s].T
-            own_border = np.concatenate([self.eliminated[k][border], beyond[k]])
+            own_border = np.concatenate([self.eliminated[k][border], next(beyond)[:, wide].T])
             z = inverse.T @ own_border.T - gain @ z_next
             spread = z @ schur_inverse
             if k + 1 < blocks:
@@ -423,24 +421,37 @@ def _taken(wide: WideBorder, factor: Factor) -> tuple[Floats, Floats]:
 
 def _wide_rows(wide: WideBorder, factor: Factor) -> Iterator[tuple[int, Floats]]:
     """Yield the first of some blocks, and L^-1 F of the wide border there, (b, s, w), valid until the next ones."""
+    blocks, s = factor.lower.shape[:2]
+    before, memory = np.zeros((s, wide.size)), np.zeros((_TOGETHER, s, wide.size))
+    for first in range(0, blocks, _TOGETHER):
+        yield first, _eliminated(wide, factor, first, before, memory)
+        before = memory[-1].copy()
+
+
+def _wide_rows_back(wide: WideBorder, factor: Factor) -> Iterator[Floats]:
+    """Yield L^-1 F of the wide border, (s, w), from the last block to the first: made twice, all are never held."""
+    memory = np.zeros((_TOGETHER, factor.lower.shape[1], wide.size))
+    before = [memory[-1].copy(), *(rows[-1].copy() for _, rows in _wide_rows(wide, factor))]
+    for number in range(len(before) - 2, -1, -1):
+        yield from _eliminated(wide, factor, number * _TOGETHER, before[number], memory)[::-1]
+
+
+def _eliminated(wide: WideBorder, factor: Factor, first: int, before: Floats, memory: Floats) -> Floats:
+    """Return L^-1 F of the wide border of some blocks (b, s, w) in a memory, by that of the block before them."""
     (blocks, s), ties = factor.lower.shape[:2], factor.ties
     d, own = (factor.size, s) if ties is None else (ties.groups[0], ties.own)
-    before, per_block = np.zeros((s, wide.size)), own // d
-    memory = np.zeros((_TOGETHER, s, wide.size))
-    for first in range(0, blocks, _TOGETHER):
-        some = memory[: blocks - first]
-        given = wide.blocks(first * per_block, min(len(some) * per_block, factor.controls - first * per_block))
-        some[:] = 0.0
-        for k in range(len(some)):
-            rows = some[k]
-            part = given[k * per_block : (k + 1) * per_block]
-            rows[:own].reshape(per_block, d, -1)[: len(part), : part.shape[1]] = part
-            if first + k:
-                rows -= factor.eliminated[first + k - 1, :s] @ before
-            dtrsm(1.0, factor.lower[first + k].T, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-            before = rows
-        yield first, some
-        before = before.copy()
+    some, per_block = memory[: blocks - first], own // d
+    given = wide.blocks(first * per_block, min(len(some) * per_block, factor.controls - first * per_block))
+    some[:] = 0.0
+    for k in range(len(some)):
+        rows = some[k]
+        part = given[k * per_block : (k + 1) * per_block]
+        rows[:own].reshape(per_block, d, -1)[: len(part), : part.shape[1]] = part
+        if first + k:
+            rows -= factor.eliminated[first + k - 1, :s] @ before
+        dtrsm(1.0, factor.lower[first + k].T, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+        before = rows
+    return some
 
 
 def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:

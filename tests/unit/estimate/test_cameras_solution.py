@@ -13,9 +13,9 @@ from gnomon.estimate.cameras.first_lens import first_lens, fit_lens_model, gener
 from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, number_views_alike
 from gnomon.estimate.cameras.solution import solve_rig
 from gnomon.estimate.cameras.views import gathered_views
-from gnomon.estimate.trust.clusters import jackknife_covariance
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.models.target import Target
+from jackknife import jackknife_covariance
 
 ALONE = np.eye(4)[None]
 

@@ -6,10 +6,10 @@ import pytest
 from gnomon.estimate.trust.clusters import (
     ClusterSums,
     held_out_costs,
-    jackknife_covariance,
     leave_clusters_out,
     part_estimates,
 )
+from jackknife import jackknife_covariance
 
 
 def _problem(seed: int, cells: int = 24, rows: int = 20, size: int = 4) -> tuple[np.ndarray, np.ndarray, ClusterSums]:

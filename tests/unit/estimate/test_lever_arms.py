@@ -9,7 +9,6 @@ import pytest
 import gnomon
 from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.errors import FormatError, OptionError
-from gnomon.formats.kalibr.imu import read_kalibr
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotation_vector import acceleration_by_place, rotation_from_rotvec, rotvec_from_rotation
@@ -22,6 +21,7 @@ from gnomon.results.trust import Need, UncertaintySummary
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.writers.tables import summary_table
+from kalibr_imus import read_kalibr
 
 ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)
 PLACES = np.array([0.0, 0.0, 0.0, *ARMS]).reshape(3, 3)

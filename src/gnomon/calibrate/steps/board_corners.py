@@ -31,7 +31,7 @@ from ...recording.frames import Frame, Grey, ImageStream
 Processes = SimpleQueue[BoardProcess]
 
 _RUN, _RUN_PX = (8, 32), 16e6  # consecutive frames that one worker takes, and pixels of them that bound the memory
-_DECODED = 8  # frames of a run that are decoded at once
+_DECODED = 2  # frames of a run that are decoded at once, and held by each worker
 _MANY_IMAGES = 40  # from which on it pays to start processes, which takes as long as some twenty images
 _WAITING = 1  # runs that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show

@@ -123,7 +123,7 @@ def linearize_batch(
     probes = 2 * imus + cameras
     board = None
     if len(layout) > layout.dense and state.parameters.board is not None:
-        board = BoardBorder(len(state.parameters.board.points), grid.controls, grid.order, imus)
+        board = BoardBorder(len(state.parameters.board.points), grid.controls, imus)
     system = BorderedBand(
         controls=grid.controls,
         order=grid.order,

@@ -115,7 +115,7 @@ class RigSolution:
         "cam0.distortion_coeffs[0]", "cam1.T_cam_cam0.rotation[0]" (small rotation on the right), "cam1.T_cam_cam0.
         translation[0]", "target.aspect", "target.bow[0]", "target.offsets[0,0]"
     sums : pull and information of each view at the estimate, its pose eliminated: by them follow the covariance that
-        holds where the errors of a view are correlated (`jackknife_covariance`), halves, and smaller models
+        holds where the errors of a view are correlated, halves, and smaller models
     ordinary : (p, p) covariance for independent errors
     corners : "cam0", ... -> residuals
     sigma_px : "cam0", ... -> standard deviation of a corner per axis, from the residuals

@@ -94,13 +94,6 @@ def leave_clusters_out(sums: ClusterSums) -> Floats:
     return _solved(rest, -sums.pull)
 
 
-def jackknife_covariance(sums: ClusterSums) -> Floats:
-    """Return the covariance (p, p) by leaving out clusters (CR3); what was known beforehand counts as it was stated."""
-    moves, count = leave_clusters_out(sums), len(sums)
-    total = _inverse(sums.total)
-    return (count - 1) / count * moves.T @ moves + total @ sums.prior_information @ total
-
-
 def whole_estimate(sums: ClusterSums) -> tuple[Floats, Floats]:
     """Return the step (p,) to the minimum of all stretches and the prior, and the inverse information (p, p)."""
     return _solved(sums.total, sums.pull.sum(axis=0) + sums.prior_pull), _inverse(sums.total)

@@ -127,20 +127,8 @@ _MODELS = ("calibrated", "scale-misalignment", "scale-misalignment-size-effect")
 _LEVER_ARMS = ("rx_i", "ry_i", "rz_i")
 
 
-def read_kalibr(path: str | PathLike[str]) -> ForeignCalibration:
-    """Read the IMUs of Kalibr's imu.yaml, or OpenVINS' kalibr_imu_chain.yaml; keys that mean nothing are named.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or is not in Kalibr's layout.
-    """
-    notes: list[str] = []
-    return imus_of(read_foreign_yaml(path, notes), notes)
-
-
 def imus_of(root: Node, notes: list[str]) -> ForeignCalibration:
-    """Return the IMUs of a file that was parsed; see `read_kalibr`.
+    """Return the IMUs of Kalibr's imu.yaml, or OpenVINS' kalibr_imu_chain.yaml, parsed, with notes.
 
     Parameters
     ----------

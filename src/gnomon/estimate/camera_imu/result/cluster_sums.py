@@ -54,7 +54,7 @@ def cluster_sums(solution: Solution) -> ClusterSums:
     sums = _Sums(len(t_s), follows.shape[2])
     visual = _add_measurements(sums, solution, follows, stretch, apart=len(shifts) > 0)
     if len(shifts):
-        _add_board(sums, visual, follows, shifts=shifts, stretch=stretch, dense=solution.layout.dense)
+        _add_board(sums, visual, follows, shifts=shifts, stretch=stretch)
     biases = trajectory.controls[:, POSE:]
     roots = np.sqrt(np.repeat(np.square(noise.walks).ravel(), TRIAD))
     for at, distance, time_s in random_walk_links(grid):
@@ -142,9 +142,7 @@ def _add_measurements(
     return visual
 
 
-def _add_board(
-    sums: _Sums, visual: list[VisualTerms], follows: Floats, *, shifts: Floats, stretch: Integers, dense: int
-) -> None:
+def _add_board(sums: _Sums, visual: list[VisualTerms], follows: Floats, *, shifts: Floats, stretch: Integers) -> None:
     """Add what the shifts of the board's corners do, stretch by stretch.
 
     With U the rows that are summed up already, and J_o the columns of the shifts, which follow by A,
@@ -154,12 +152,13 @@ def _add_board(
         coupling = term.coupling(1)
         assert coupling is not None
         moved = coupling.moved(follows)
-        edges = POSE * np.searchsorted(stretch[coupling.first], np.arange(len(coupling.squares) + 1))
+        edges = np.searchsorted(stretch[coupling.first], np.arange(len(coupling.squares) + 1))
         for k, (start, stop) in enumerate(pairwise(edges.tolist())):
             if start == stop:
                 continue
-            flat = coupling.by_pose[start:stop].T @ moved[start:stop]
-            flat[:, :dense] += coupling.border[k].T
+            flat = coupling.by_pose.pull(moved, start, stop)
+            for at, border in coupling.border:
+                flat[:, at] += border[k].T
             towards = shifts.T @ flat
             own = coupling.squares[k] @ shifts.reshape(-1, 3, shifts.shape[1])
             sums.information[k] += towards + towards.T + shifts.T @ own.reshape(flat.shape)

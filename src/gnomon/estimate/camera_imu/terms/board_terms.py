@@ -12,9 +12,9 @@ twist, mapped to the pose, for the coupling to the trajectory, which is made sup
 of `BorderedBand`); with everything else summed up over the exposures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from ....recording import Floats, Integers
 from ..trajectory import BIAS, POSE
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from ....solve.bordered_band import BorderedBand
 
 OFFSETS = "target.offsets"
@@ -91,7 +93,7 @@ class BoardPoints:
 
 _TWIST = 6
 _AXES = 3
-_TOGETHER = 60  # exposures that are multiplied at once
+_TOGETHER, _CORNERS = 60, 8192  # exposures, and corners, that are multiplied at once
 _DENSE = 0.1  # share of the board's corners in an exposure, from which on zeros for all others cost less
 
 
@@ -124,6 +126,15 @@ class CornerProducts:
         """Return number and `counted` of all corners, and where their products are to be added."""
         return self._point, self._counted, self.by_twist, self.rest, self.squares
 
+    def taken(self, corners: Integers) -> Floats:
+        """Return `by_twist` of some corners: where they are ascending it is packed in place, since it is large."""
+        if not len(corners) or (np.diff(corners) <= 0).any():
+            return self.by_twist[corners]
+        for begin in range(0, len(corners), _CORNERS):
+            some = corners[begin : begin + _CORNERS]
+            self.by_twist[begin : begin + len(some)] = self.by_twist[some]
+        return self.by_twist[: len(corners)]
+
     def add(self, corners: slice, rows: Floats, own: Floats) -> None:
         """Add some corners.
 
@@ -150,59 +161,66 @@ class CornerProducts:
                     self.squares[:, j, i] += product
 
 
-class PoseProducts(Protocol):
-    """Products (6 e, 3 k) of the poses of exposures and the offsets of corners, dense or sparse."""
+@value_class
+class PoseProducts:
+    """Products of the poses of exposures and the offsets of corners, of which most exposures see a part.
 
-    @property
-    def T(self) -> "PoseProducts":
-        """Transposed."""
-        ...
-
-    def __getitem__(self, rows: slice, /) -> "PoseProducts": ...
-
-    def __matmul__(self, values: Floats, /) -> Floats: ...
-
-
-def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[int, int]) -> PoseProducts:
-    """Return the products of exposures with all corners of the board; sparse where an exposure sees few of them.
-
-    Parameters
+    Attributes
     ----------
     place, point : (m,) exposure, ascending, and number of each corner
     by_twist : (m, 6, 3) products of each corner
     shape : number of exposures and of the board's corners
     """
-    exposures, points = shape
-    if len(place) > _DENSE * exposures * points:
-        dense = np.zeros((exposures, POSE, points, _AXES))
-        dense[place, :, point] = by_twist
-        return dense.reshape(exposures * POSE, points * _AXES)
-    from scipy.sparse import csr_array  # loaded where it is needed: `gnomon camera` never needs it
 
-    # Rolling shutter: each corner has an exposure of its own.
-    rows = POSE * place[:, None, None] + np.arange(POSE)[:, None]
-    columns = _AXES * point[:, None, None] + np.arange(_AXES)
-    at = np.broadcast_to(rows, by_twist.shape).ravel(), np.broadcast_to(columns, by_twist.shape).ravel()
-    return csr_array((by_twist.ravel(), at), shape=(exposures * POSE, points * _AXES))
+    place: Integers
+    point: Integers
+    by_twist: Floats
+    shape: tuple[int, int]
 
+    @property
+    def _dense(self) -> bool:
+        return len(self.place) > _DENSE * self.shape[0] * self.shape[1]
 
-def multiply_blocks(blocks: Floats, products: PoseProducts) -> PoseProducts:
-    """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6).
+    def turned(self, blocks: Floats) -> "PoseProducts":
+        """Return the products, with those of each exposure multiplied from the left by a block (e, 6, 6) in place."""
+        for begin in range(0, len(self.place), _CORNERS):
+            some = slice(begin, begin + _CORNERS)
+            self.by_twist[some] = blocks[self.place[some]] @ self.by_twist[some]
+        return self
 
-    Dense ones are overwritten: with hundreds of points they are large.
-    """
-    if not len(blocks):
-        return products
-    if isinstance(products, np.ndarray):
-        rows = products.reshape(len(blocks), POSE, -1)
-        for begin in range(0, len(blocks), _TOGETHER):
-            some = slice(begin, begin + _TOGETHER)
-            rows[some] = blocks[some] @ rows[some]
-        return products
-    from scipy.sparse import bsr_array
+    def rows(self, exposures: slice) -> "Floats | csr_array":
+        """Return those of some exposures, (6 e, 3 k): sparse where an exposure sees few of the corners."""
+        begin, end, points = exposures.start, exposures.stop, self.shape[1]
+        some = slice(*np.searchsorted(self.place, [begin, end]).tolist())
+        if self._dense:
+            dense = np.zeros((end - begin, POSE, points, _AXES))
+            dense[self.place[some] - begin, :, self.point[some]] = self.by_twist[some]
+            return dense.reshape(-1, points * _AXES)
+        from scipy.sparse import bsr_array  # loaded where it is needed: `gnomon camera` never needs it
 
-    every = np.arange(len(blocks) + 1)
-    return bsr_array((blocks, every[:-1], every)).tocsr() @ products
+        # Rolling shutter: each corner has an exposure of its own.
+        starts = np.searchsorted(self.place[some], np.arange(begin, end + 1))
+        shape = POSE * (end - begin), _AXES * points
+        return bsr_array((self.by_twist[some], self.point[some], starts), shape=shape).tocsr()
+
+    def times(self, offsets: Floats) -> Floats:
+        """Return the products with offsets (3 k, q), (e, 6, q)."""
+        found = np.empty((self.shape[0], POSE, offsets.shape[1]))
+        for some in self._runs(0, self.shape[0]):
+            found[some] = (self.rows(some) @ offsets).reshape(-1, POSE, offsets.shape[1])
+        return found
+
+    def pull(self, poses: Floats, begin: int, end: int) -> Floats:
+        """Return those of some exposures, transposed, with values (e, 6, q) of the poses, (3 k, q)."""
+        found = np.zeros((_AXES * self.shape[1], poses.shape[2]))
+        for some in self._runs(begin, end):
+            found += self.rows(some).T @ poses[some].reshape(-1, poses.shape[2])
+        return found
+
+    def _runs(self, begin: int, end: int) -> Iterator[slice]:
+        """Yield runs of exposures whose rows are few, or not dense."""
+        step = _TOGETHER if self._dense else max(end - begin, 1)
+        return (slice(low, min(low + step, end)) for low in range(begin, end, step))
 
 
 @value_class
@@ -213,8 +231,9 @@ class Coupling:
     ----------
     first : (e,) first control point of the span of each exposure, ascending
     value : (e, k) its basis functions
-    by_pose : (6 e, 3 k) products of the poses and the offsets
-    border : (r, b, 3 k) products of the offsets with the border's other columns, summed up over each of r parts
+    by_pose : products (6 e, 3 k) of the poses and the offsets
+    border : columns of the border that the camera touches, and the products (r, b, 3 k) of the offsets with them,
+        summed up over each of r parts
     sides : (r, 3 k, q) right-hand sides
     squares : (r, k, 3, 3) products of the offsets with each other
     """
@@ -222,16 +241,16 @@ class Coupling:
     first: Integers
     value: Floats
     by_pose: PoseProducts
-    border: Floats
+    border: list[tuple[slice, Floats]]
     sides: Floats
     squares: Floats
 
     def moved(self, controls: Floats) -> Floats:
-        """Return how the poses follow where control points (n, d, q) do, (6 e, q)."""
+        """Return how the poses follow where control points (n, d, q) do, (e, 6, q)."""
         found = np.zeros((len(self.first), POSE, controls.shape[2]))
         for k, value in enumerate(self.value.T):
             found += value[:, None, None] * controls[self.first + k, :POSE]
-        return found.reshape(-1, controls.shape[2])
+        return found
 
     def blocks(self, first: int, count: int) -> Floats:
         """Return the products (count, 6, 3 k) of the poses of control points from `first` on with the offsets."""
@@ -241,7 +260,7 @@ class Coupling:
         weight = np.zeros((len(at), count + 2 * (order - 1)))
         weight[np.arange(len(at))[:, None], at[:, None] + np.arange(order)] = self.value[some]
         weight = weight[:, order - 1 : order - 1 + count].T
-        products = self.by_pose[POSE * some.start : POSE * some.stop]
+        products = self.by_pose.rows(some)
         if isinstance(products, np.ndarray):
             found = weight @ products.reshape(len(at), POSE * products.shape[1])
         else:
@@ -263,16 +282,15 @@ def exposure_corners(exposures: Integers, start: Integers) -> tuple[Integers, In
 class BoardBorder:
     """The wide part of the border: three columns for each corner of the board."""
 
-    def __init__(self, points: int, controls: int, order: int, imus: int) -> None:
+    def __init__(self, points: int, controls: int, imus: int) -> None:
         """Start with nothing.
 
         Parameters
         ----------
         points : corners of the board
-        controls, order, imus : of the trajectory
+        controls, imus : of the trajectory
         """
-        self._points, self._controls, self._order = points, controls, order
-        self._width = POSE + BIAS * imus
+        self._points, self._controls, self._width = points, controls, POSE + BIAS * imus
         self._cameras: list[Coupling] = []
 
     @property
@@ -291,9 +309,9 @@ class BoardBorder:
         blocks = system.corner[p:, p:].reshape(self._points, _AXES, self._points, _AXES)
         every = np.arange(self._points)
         for camera in cameras:
-            border = camera.border.sum(axis=0)
-            system.corner[:p, p:] += border
-            system.corner[p:, :p] += border.T
+            for at, border in camera.border:
+                system.corner[at, p:] += border.sum(axis=0)
+                system.corner[p:, at] += border.sum(axis=0).T
             blocks[every, :, every, :] += camera.squares.sum(axis=0)
             system.corner_rhs[p:] += camera.sides.sum(axis=0)
 
@@ -303,7 +321,7 @@ class BoardBorder:
         for camera in self._cameras:
             if not len(camera.first):
                 continue
-            pull = (camera.by_pose @ parameters).reshape(len(camera.first), POSE, -1)
+            pull = camera.by_pose.times(parameters)
             begins = np.flatnonzero(np.diff(camera.first, prepend=-1))  # exposures of one span
             for k, value in enumerate(camera.value.T):
                 found[camera.first[begins] + k, :POSE] += np.add.reduceat(value[:, None, None] * pull, begins)

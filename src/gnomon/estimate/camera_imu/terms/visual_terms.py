@@ -25,7 +25,7 @@ from ..layout import BorderLayout
 from ..parameters import CameraParameters, RigParameters
 from ..trajectory import POSE, Bases, MotionState, Trajectory
 from .assembly import Columns
-from .board_terms import OFFSETS, CornerProducts, Coupling, exposure_corners, multiply_blocks, spread_out
+from .board_terms import OFFSETS, CornerProducts, Coupling, PoseProducts, exposure_corners
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 
 
@@ -124,7 +124,7 @@ class VisualTerms:
         self.columns = Columns.of(
             layout, grid.order, lambda name: name.startswith(mine), imu=None, probes=() if probe is None else (probe,)
         )
-        self._maps, self._dense = _maps(self.columns.blocks, data, entry, self._motion), layout.dense
+        self._maps = _maps(self.columns.blocks, data, entry, self._motion)
         self.known = places.inside & (self.sums.valid > 0)
         self.inside = self.known & used
         chosen = np.flatnonzero(self.inside)
@@ -149,29 +149,25 @@ class VisualTerms:
     def coupling(self, sides: int) -> Coupling | None:
         """Return what the offsets of the corners have in common with everything else, where they have columns.
 
+        Only once: the products of the corners are large, and turned where they are.
+
         Parameters
         ----------
         sides : number of right-hand sides
         """
         if self._offsets is None or self._exposures.point is None:
             return None
-        products, order = self._offsets, self._order
+        products, order, self._offsets = self._offsets, self._order, None
         corner, place = exposure_corners(order, self._exposures.start)
         parts, points = self._parts, len(products.squares) // self._parts
-        shape = len(order), points
-        by_twist = spread_out(place, self._exposures.point[corner], products.by_twist[corner], shape)
-        turned = np.swapaxes(self._by_pose()[order], 1, 2)
-        rest = products.rest.reshape(-1, parts, points * 3)
-        border = np.zeros((parts, self._dense, points * 3))
-        edges = TWIST * np.searchsorted(self._part[order], np.arange(parts + 1))
+        point = self._exposures.point[corner]
+        by_twist = PoseProducts(place=place, point=point, by_twist=products.taken(corner), shape=(len(order), points))
+        rest, blocks = products.rest.reshape(-1, parts, points * 3), self.columns.blocks
+        runs = list(pairwise(np.searchsorted(self._part[order], np.arange(parts + 1)).tolist()))
+        border = [(blocks[name], rest[index].swapaxes(0, 1)) for name, index in self._maps.own]
         for name, way in self._maps.twists:
-            at = self.columns.blocks[name]
-            along = np.broadcast_to(way, (len(self._part), *way.shape[1:]))[order].reshape(-1, way.shape[2])
-            for part, (start, stop) in enumerate(pairwise(edges.tolist())):
-                if start < stop:
-                    border[part, at] = (by_twist[start:stop].T @ along[start:stop]).T
-        for name, index in self._maps.own:
-            border[:, self.columns.blocks[name]] = rest[index].swapaxes(0, 1)
+            along = np.broadcast_to(way, (len(self._part), *way.shape[1:]))[order]
+            border.append((blocks[name], np.stack([by_twist.pull(along, *run).T for run in runs])))
         residual = self._maps.count
         right = np.zeros((parts, points * 3, sides))
         right[:, :, 0] = -rest[residual]
@@ -180,7 +176,7 @@ class VisualTerms:
         return Coupling(
             first=self._first,
             value=self._bases.value[order],
-            by_pose=multiply_blocks(turned, by_twist),
+            by_pose=by_twist.turned(np.swapaxes(self._by_pose()[order], 1, 2)),
             border=border,
             sides=right,
             squares=products.squares.reshape(parts, points, 3, 3),
