@@ -205,7 +205,7 @@ def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Int
     variance = np.diag(shown)
     told = expected > 0
     total, prior = phases[0].total, phases[0].prior_information
-    gain = jacobian @ whole_estimate(phases[0])[1]
+    gain = jacobian @ _inverse(total)
     size = np.sqrt(np.where(variance > 0, variance, 1.0))
     correlation = shown / np.outer(size, size)
     np.fill_diagonal(correlation, 1.0)
