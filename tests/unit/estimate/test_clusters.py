@@ -104,3 +104,22 @@ def test_white_noise_gives_the_ordinary_covariance_and_repeated_noise_a_larger_o
             found.append(np.diag(jackknife_covariance(sums)) / np.diag(np.linalg.inv(sums.total)))
     assert np.mean(ratios[1]) == pytest.approx(1.0, abs=0.12)
     assert np.mean(ratios[5]) == pytest.approx(5.0, rel=0.12)
+
+
+def test_what_one_cluster_alone_tells_may_be_anywhere_without_it() -> None:
+    """Of which the others have no information at all: equations that cannot be solved ended a calibration as a bug."""
+    information = np.zeros((3, 2, 2))
+    information[:, 0, 0] = 4.0
+    information[0, 1, 1] = 1.0
+    pull = np.array([[1.0, 0.5], [-2.0, 0.0], [1.0, 0.0]])
+    sums = ClusterSums(
+        t_s=np.arange(3.0),
+        pull=pull,
+        information=information,
+        prior_pull=np.zeros(2),
+        prior_information=np.zeros((2, 2)),
+    )
+    moves = leave_clusters_out(sums)
+    np.testing.assert_allclose(moves[:, 0], -pull[:, 0] / 8.0, rtol=1e-9)
+    assert abs(moves[0, 1]) > 1e6
+    assert not moves[1:, 1].any()

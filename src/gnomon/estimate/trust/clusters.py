@@ -27,6 +27,8 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers
 
+_NEARLY = 1e-12  # of the information, where there is none at all
+
 
 @value_class
 class ClusterSums:
@@ -131,7 +133,10 @@ def held_out_costs(sums: ClusterSums) -> Floats:
 def _solved(matrix: Floats, right: Floats) -> Floats:
     """Solve symmetric equations (..., p, p) x = (..., p) whose units differ by many powers of ten."""
     scaled, size = _scaled(matrix)
-    solution = np.linalg.solve(scaled, (size * right)[..., None])[..., 0]
+    try:
+        solution = np.linalg.solve(scaled, (size * right)[..., None])[..., 0]
+    except np.linalg.LinAlgError:  # one that nothing else tells may be anywhere
+        solution = np.linalg.solve(scaled + _NEARLY * np.eye(size.shape[-1]), (size * right)[..., None])[..., 0]
     return np.asarray(size * solution, dtype=np.float64)
 
 
