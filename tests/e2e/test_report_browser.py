@@ -1,9 +1,14 @@
 """The report in a real browser: no script error, no sideways scrolling, figures to be seen, zoom that zooms."""
 
+import re
+from itertools import combinations
+
 import pytest
 
 from gnomon.report import write_report
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
+
+NUMBER = re.compile(r"\u2212?[\d.]+(e\d+)?")
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason=WHY_NOT)]
 
@@ -124,9 +129,37 @@ def test_values_stand_under_the_pointer_and_at_the_edges_of_a_zoomed_figure(brow
     assert float(told["value"].split()[1].replace("\u2212", "-")) == pytest.approx(
         told["middle"], abs=2e-3 * abs(told["span"])
     )
-    assert len(told["ticks"]) >= 4
-    assert any(told["low"] < float(tick) < told["high"] for tick in told["ticks"])
+    numbers = [float(tick) for tick in told["ticks"] if NUMBER.fullmatch(tick.replace("-", "\u2212"))]
+    assert len(numbers) >= 4
+    assert any(told["low"] < number < told["high"] for number in numbers)
     assert told["after"] == 0
+    assert browser.problems() == []
+
+
+@pytest.mark.parametrize(("width", "height", "mobile"), [(390, 844, True), (1440, 900, False)])
+def test_ticks_of_zoomed_figures_are_round_and_apart_and_their_names_stay(browser, report, width, height, mobile):
+    browser.open(report, width=width, height=height, mobile=mobile)
+    figures = browser.evaluate("""[...document.querySelectorAll("svg.plot")].filter((svg) => svg.checkVisibility()
+      && svg.querySelector("[data-panel]")).map((svg) => {
+        const names = [...svg.querySelectorAll("text")].map((t) => t.textContent).filter((name) => name.includes("["));
+        for (let k = 0; k < 4; k++) svg.dispatchEvent(new KeyboardEvent("keydown", { key: "+" }));
+        const texts = [...svg.querySelectorAll(".ticks text")].map((t) => {
+          const box = t.getBoundingClientRect();
+          return [t.textContent, box.left, box.top, box.right, box.bottom];
+        });
+        svg.dispatchEvent(new KeyboardEvent("keydown", { key: "0" }));
+        return { names, texts };
+      })""")
+    assert figures
+    named = 0
+    for figure in figures:
+        labels = [text for text, *_ in figure["texts"]]
+        for number in filter(NUMBER.fullmatch, labels):
+            assert len(number.strip("\u22120.").replace(".", "").rstrip("0")) <= 3, number
+        named += any(map(NUMBER.fullmatch, labels)) and bool(set(labels) & set(figure["names"]))
+        for (one, *a), (other, *b) in combinations(figure["texts"], 2):
+            assert a[2] <= b[0] + 1 or b[2] <= a[0] + 1 or a[3] <= b[1] + 3 or b[3] <= a[1] + 3, (one, other)
+    assert named
     assert browser.problems() == []
 
 

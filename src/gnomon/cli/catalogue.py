@@ -158,8 +158,9 @@ def _split_name(words: Sequence[str]) -> tuple[str, Sequence[str]]:
 def _simulate_help() -> str:
     """Return what can be simulated, a line for each kind."""
     kinds = [f"  {name.partition(' ')[2]:<15}{about}" for name, (_, about) in _GROUPS["try"].items() if " " in name]
-    last = "gnomon simulate KIND --help shows the options of a kind, and examples."
-    return "\n".join(["usage: gnomon simulate KIND [OPTIONS]", "", "kinds:", *kinds, "", last]) + "\n"
+    last = ["examples:", "  gnomon simulate imu -o recording.npz", "  gnomon simulate camera-imu -o rig"]
+    last += ["", "gnomon simulate KIND --help shows the options of a kind, and more examples."]
+    return "\n".join(["usage: gnomon simulate KIND [OPTIONS]", "", "kinds:", *kinds, "", *last]) + "\n"
 
 
 def _help() -> str:

@@ -16,16 +16,22 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
   const touches = new Map();
   svg.tabIndex = 0;
 
-  // What the places of each panel stand for: shares of its box -> numbers of its scales.
+  // What the places of each panel stand for: shares of its box -> numbers of its scales; and what it is called.
+  const texts = [...svg.querySelectorAll("text")].map((t) => ({ x: Number(t.getAttribute("x")), y: Number(t.getAttribute("y")), says: t.textContent }));
   const panels = [...svg.querySelectorAll("[data-panel]")].map((g) => {
     const [left, top, width, height, ...ends] = g.dataset.panel.split(" ").map(Number);
     const scale = ([low, high, log, known]) => known && {
       at: (share) => log ? low * (high / low) ** share : low + (high - low) * share,
+      share: (value) => log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low),
       step: Math.abs(high - low), log,
     };
-    return { left, top, width, height, x: scale(ends.slice(0, 4)), y: scale(ends.slice(4)) };
+    const nearest = (x, y) => texts.filter((t) => Math.abs(t.y - y) < 2).sort((a, b) => Math.abs(a.x - x) - Math.abs(b.x - x))[0];
+    return {
+      left, top, width, height, x: scale(ends.slice(0, 4)), y: scale(ends.slice(4)),
+      title: nearest(left, top - 18), below: nearest(left + width, top + height + 50),
+    };
   });
-  const text = (value, step) => Math.abs(value) < 1e-9 * step ? "0" : String(Number(value.toPrecision(5))).replace("-", "\u2212");
+  const text = (value, step) => Math.abs(value) < 1e-9 * step ? "0" : String(Number(value.toPrecision(Math.max(5, Math.ceil(Math.log10(Math.abs(value) / step)) + 3)))).replace("-", "\u2212");
   const readout = document.createElement("p");
   readout.className = "readout";
   svg.after(readout);
@@ -36,12 +42,25 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
     const parts = panel ? [["x", panel.x, u], ["y", panel.y, v]].filter(([, scale]) => scale) : [];
     readout.textContent = parts.map(([name, scale, share]) => `${name} ${text(scale.at(share), scale.step)}`).join("   ");
   };
-  // A zoomed figure has ticks of its own along the edges of what is seen.
+  // A zoomed figure has round ticks of its own along the edges of what is seen, and its names, where they left it.
+  const multiples = (low, high, step) => {
+    const first = Math.ceil(low / step - 1e-9);
+    return Array.from({ length: Math.max(Math.floor(high / step + 1e-9) - first + 1, 0) }, (_, i) => Number(((first + i) * step).toPrecision(12)));
+  };
+  const roundNumbers = (ends, log, most) => {
+    const [low, high] = ends.sort((a, b) => a - b), least = (high - low) / Math.max(most, 1);
+    const power = 10 ** Math.floor(Math.log10(least));
+    if (!log || high < 10 * low) return multiples(low, high, power * ([1, 2, 5].find((s) => s * power >= least) ?? 10));
+    const powers = multiples(Math.floor(Math.log10(low)), Math.log10(high), 1).map((k) => 10 ** k);
+    const several = powers.flatMap((p) => [p, 2 * p, 5 * p]).filter((value) => value >= low && value <= high);
+    return (several.length > most ? powers.filter((p) => p >= low) : several).map((value) => Number(value.toPrecision(12)));
+  };
   const ticks = document.createElementNS(svg.namespaceURI, "g");
   ticks.setAttribute("class", "ticks");
   svg.append(ticks);
-  const tick = (label, x, y) => {
+  const tick = (label, x, y, anchor = "middle") => {
     const element = document.createElementNS(svg.namespaceURI, "text");
+    element.style.textAnchor = anchor;
     element.setAttribute("x", x);
     element.setAttribute("y", y);
     element.textContent = label;
@@ -53,12 +72,19 @@ document.querySelectorAll("svg.plot").forEach((svg) => {
     for (const p of panels) {
       const x = [Math.max(view[0], p.left), Math.min(view[0] + view[2], p.left + p.width)];
       const y = [Math.max(view[1], p.top), Math.min(view[1] + view[3], p.top + p.height)];
-      if (x[0] >= x[1] || y[0] >= y[1]) continue;
-      for (const share of [0.2, 0.4, 0.6, 0.8]) {
-        const u = x[0] + share * (x[1] - x[0]), v = y[0] + share * (y[1] - y[0]);
-        if (p.x) tick(text(p.x.at((u - p.left) / p.width), p.x.step), u, y[1] - 0.012 * view[3]);
-        if (p.y) tick(text(p.y.at((p.top + p.height - v) / p.height), p.y.step), x[0] + 0.045 * view[2], v);
+      const one = view[2] / svg.clientWidth, bottom = p.top + p.height;  // figure units a pixel of the screen
+      if (x[1] - x[0] < 60 * one || y[1] - y[0] < 40 * one) continue;
+      const named = p.title && p.title.y < view[1], below = p.below && p.below.y > view[1] + view[3];
+      for (const value of p.x ? roundNumbers(x.map((u) => p.x.at((u - p.left) / p.width)), p.x.log, (x[1] - x[0]) / one / 90) : []) {
+        const u = p.left + p.width * p.x.share(value);
+        if (u > x[0] + 70 * one && u < x[1] - 15 * one) tick(text(value, p.x.step), u, y[1] - 10 * one);
       }
+      for (const value of p.y ? roundNumbers(y.map((v) => p.y.at((bottom - v) / p.height)), p.y.log, (y[1] - y[0]) / one / 45) : []) {
+        const v = bottom - p.height * p.y.share(value);
+        if (v > y[0] + (named ? 32 : 10) * one && v < y[1] - 10 * one) tick(text(value, p.y.step), x[0] + 6 * one, v, "start");
+      }
+      if (named) tick(p.title.says, x[0] + 6 * one, y[0] + 14 * one, "start");
+      if (below) tick(p.below.says, x[1] - 6 * one, y[1] - 28 * one, "end");
     }
   };
 
