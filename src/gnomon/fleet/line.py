@@ -144,12 +144,10 @@ def _without_doubles(entries: Sequence[LibraryEntry]) -> tuple[list[int], list[F
         kept.append(rows[-1] if len(serials) == 1 else rows[0])
         if len(serials) > 1:
             names = join_names(serials[:5])
-            found.append(make_finding("line-duplicate", serials=names, recording=_recording_of(entries[rows[0]])))
+            inputs = entries[rows[0]].inputs
+            recording = inputs[0][0] if inputs else "the same numbers"
+            found.append(make_finding("line-duplicate", serials=names, recording=recording))
     return sorted(kept), found
-
-
-def _recording_of(entry: LibraryEntry) -> str:
-    return entry.inputs[0][0] if entry.inputs else "the same numbers"
 
 
 def _other_gravity(table: LineTable, values: Floats) -> Iterator[Finding]:

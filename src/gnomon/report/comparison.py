@@ -133,17 +133,15 @@ def _pairs(comparison: Comparison) -> ReportTable:
 
 def _blocks(comparison: Comparison) -> Section:
     tables = tuple(_table(comparison, block) for block in comparison.blocks if block.judged)
+    frame = comparison.frame
+    where = f"Poses are to {frame}." if frame.startswith("cam") else f"Body frame {frame}."
     return Section(
         "repeatability",
         "Repeatability",
-        f"{_frame_text(comparison.frame)} Tables as in Krebs, appendix B.2: every calibration, the mean of "
+        f"{where} Tables as in Krebs, appendix B.2: every calibration, the mean of "
         "all, and their standard deviation beside the one that was predicted.",
         tables or (Prose(("No block was estimated.",)),),
     )
-
-
-def _frame_text(frame: str) -> str:
-    return f"Poses are to {frame}." if frame.startswith("cam") else f"Body frame {frame}."
 
 
 def _biases(comparison: Comparison) -> Iterator[Section]:

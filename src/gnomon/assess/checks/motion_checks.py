@@ -123,11 +123,11 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
     found = float(np.median(read))
     ratio = max(found, 1e-9) / STANDARD_GRAVITY_M_S2
     ratio = max(ratio, 1 / ratio)
-    message = f"{name}: the accelerometer usually reads {found:.3f} m/s^2, expected about 9.81."
-    message += looks_like(found, "m/s^2")
+    message = f"{name}: the accelerometer usually reads {found:.3f} m/s^2"
     averaged = width >= round(_SWING_S * accelerometer.rate_hz)
     if ratio <= (_PLAUSIBLE if averaged else _POSSIBLE):
-        return [make_finding("gravity-magnitude/good", message=message)]
+        return [make_finding("gravity-magnitude/good", message=f"{message}, 9.81 but for bias and motion.")]
+    message += f", expected about 9.81.{looks_like(found, 'm/s^2')}"
     return [
         make_finding(
             "gravity-magnitude/motion",

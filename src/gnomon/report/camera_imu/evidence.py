@@ -247,7 +247,7 @@ def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
         return None
     walks = "; ".join(
         f"{signal_name(name, diagnostics.biases).lower()} {number_text(bias.random_walk, 3)} "
-        f"{_per_root_second(bias.unit)}"
+        f"{readable_unit(bias.unit)} per √s"
         for name, bias in diagnostics.biases.items()
     )
     figure = Figure(
@@ -262,7 +262,3 @@ def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
         "walk, of a sensor that was still warming up, or of an error that the bias has taken on.",
     )
     return Section("biases", "Biases", blocks=(figure,))
-
-
-def _per_root_second(unit: str) -> str:
-    return f"{readable_unit(unit)} per √s"

@@ -7,7 +7,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.quaternion import rotation_from_quaternion
 from ...geometry.rotation_vector import tangent_basis
-from ...recording import Floats, Integers
+from ...recording import Floats
 from ...results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
 from ..corner_figures import TIMES, time_spans
 from ..drawing.figures import (
@@ -287,7 +287,7 @@ def draw_motion_histograms(motion: RigMotion) -> Plot:
 
 def draw_imu_path(motion: RigMotion) -> Plot:
     """Draw the path of the IMU in the target's frame, from the front and along its y axis, coloured by time."""
-    kept = _sampled(motion, 1500)
+    kept = np.arange(0, len(motion.t_s), max(1, -(-len(motion.t_s) // 1500)))
     high = np.array([highest_finite(axis) for axis in motion.position.T])
     low = -np.array([highest_finite(-axis) for axis in motion.position.T])
     span = 0.54 * max(float((high - low).max()), 1e-3)
@@ -342,7 +342,3 @@ def draw_scene(trajectory: TrajectoryTrack, gravity: Floats, scene: SceneMap, si
         panel.x.span(middle[across] - span, middle[across] + span)
         panel.y.span(middle[upward] - span, middle[upward] + span)
     return sheet.draw("scene", 396, f"Map of {len(points)} landmarks and the path, from above and from the side.")
-
-
-def _sampled(motion: RigMotion, most: int) -> Integers:
-    return np.arange(0, len(motion.t_s), max(1, -(-len(motion.t_s) // most)))

@@ -4,6 +4,7 @@ from math import degrees, isfinite
 
 import numpy as np
 
+from ...findings import join_names
 from ...recording import Floats
 from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, LensTrial
@@ -124,17 +125,13 @@ def cameras_coverage_section(
 
 def _next_views(counts: dict[str, Floats]) -> str:
     parts = [
-        f"{name} in the {_listed([place for _, place in found])}"
+        f"{name} in the {join_names([place for _, place in found])}"
         for name, count in counts.items()
         if (found := unseen_places(count))
     ]
     if not parts:
         return "No larger part of an image is without corners."
     return f"Hold the board where corners are missing: {'; '.join(parts)} of the image. Tilt it there to both sides."
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def cameras_residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView]) -> Section:
