@@ -159,4 +159,6 @@ def test_what_follows_from_a_finding_is_named_with_it() -> None:
 def test_the_help_of_simulate_lists_its_kinds(words, capsys):
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert {line.split()[0] for line in lines if line.startswith("  ")} == set(SIMULATED)
+    kinds, examples = lines[: lines.index("examples:")], lines[lines.index("examples:") + 1 :]
+    assert {line.split()[0] for line in kinds if line.startswith("  ")} == set(SIMULATED)
+    assert [line for line in examples if line.startswith("  gnomon simulate ")]
