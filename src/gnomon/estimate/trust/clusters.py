@@ -133,16 +133,21 @@ def held_out_costs(sums: ClusterSums) -> Floats:
 def _solved(matrix: Floats, right: Floats) -> Floats:
     """Solve symmetric equations (..., p, p) x = (..., p) whose units differ by many powers of ten."""
     scaled, size = _scaled(matrix)
+    return size * _solved_if_scaled(scaled, (size * right)[..., None])[..., 0]
+
+
+def _solved_if_scaled(matrix: Floats, right: Floats) -> Floats:
+    """Solve equations of unit diagonal; what nothing tells may be anywhere."""
     try:
-        solution = np.linalg.solve(scaled, (size * right)[..., None])[..., 0]
-    except np.linalg.LinAlgError:  # one that nothing else tells may be anywhere
-        solution = np.linalg.solve(scaled + _NEARLY * np.eye(size.shape[-1]), (size * right)[..., None])[..., 0]
-    return np.asarray(size * solution, dtype=np.float64)
+        solution = np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        solution = np.linalg.solve(matrix + _NEARLY * np.eye(matrix.shape[-1]), right)
+    return np.asarray(solution, dtype=np.float64)
 
 
 def _inverse(matrix: Floats) -> Floats:
     scaled, size = _scaled(matrix)
-    return np.asarray(np.linalg.inv(scaled) * _outer(size), dtype=np.float64)
+    return _solved_if_scaled(scaled, np.eye(size.shape[-1])) * _outer(size)
 
 
 def _scaled(matrix: Floats) -> tuple[Floats, Floats]:
@@ -232,14 +237,14 @@ def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Flo
     size = 1 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
     information = sums.information * np.outer(size, size)
     total = total * np.outer(size, size)
-    arms = np.linalg.solve(total - information, (jacobian * size).T).swapaxes(1, 2)
+    arms = _solved_if_scaled(total - information, (jacobian * size).T).swapaxes(1, 2)
     arms = np.ascontiguousarray(arms)  # (c, m, p): what a pull of each cluster moves
     moves = np.einsum("cmp,cp->cm", arms, sums.pull * size)
     seen = arms @ information
     # At the estimate a cluster pulls as its errors do, less its share of what all errors pull together.
     own = np.einsum("cmp,cmp->mc", seen, arms)
     # The covariance of the pulls, diag(own) - shared T shared', is never made: it is as large as the clusters squared.
-    shared, inverse = np.swapaxes(seen, 0, 1), np.linalg.inv(total)  # (m, c, p)
+    shared, inverse = np.swapaxes(seen, 0, 1), _solved_if_scaled(total, np.eye(len(total)))  # (m, c, p)
     weighed = shared @ inverse
     less = np.einsum("mcp,mcp->mc", weighed, shared)
     inner = np.swapaxes(shared, 1, 2) @ weighed  # (m, p, p)
