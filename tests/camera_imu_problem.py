@@ -7,8 +7,7 @@ import numpy as np
 
 from camera_imu_reference import Problem
 from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState
-from gnomon.estimate.camera_imu.blocks import parameter_blocks
-from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.layout import border_layout, parameter_blocks
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.start.first_guess import per_corner
 from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_trust import judged, rms_by_block, trusted
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.estimate.camera_imu.result.recording_trust import recording_trust
+from gnomon.estimate.camera_imu.result.publish import recording_trust
 from gnomon.estimate.trust.clusters import part_estimates
 from gnomon.results.calibration import covariance_names
 

@@ -6,10 +6,9 @@ import pytest
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.calibrate.steps.camera_reading import read_camera_views
 from gnomon.calibrate.steps.camera_views import rms_of
-from gnomon.estimate.cameras.board_shape import stated_shape
-from gnomon.estimate.cameras.holdout import held_out_residuals
-from gnomon.estimate.cameras.rig import CameraRig
-from gnomon.estimate.cameras.views import gathered_views
+from gnomon.estimate.cameras.first_rig import held_out_residuals
+from gnomon.estimate.cameras.layout import stated_shape
+from gnomon.estimate.cameras.rig import CameraRig, gathered_views
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
 

@@ -10,7 +10,7 @@ import pytest
 
 import gnomon
 from gnomon.calibrate.steps.preparation import weighted_stream
-from gnomon.detect.samples.static import runs_below, static_statistic, window_samples
+from gnomon.detect.samples.rests import runs_below, static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera

@@ -38,8 +38,7 @@ from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.layout import Status
 from ..estimate.camera_imu.result.filter_response import with_misfits
 from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
-from ..estimate.camera_imu.result.publish import publish_rig
-from ..estimate.camera_imu.result.recording_trust import recording_trust
+from ..estimate.camera_imu.result.publish import publish_rig, recording_trust
 from ..estimate.camera_imu.result.uncertainty import (
     Uncertainty,
     solution_uncertainty,
@@ -59,7 +58,14 @@ from ..results.calibration import Calibration, Covariance, Provenance, covarianc
 from ..results.result import Result
 from ..results.sensors import TemperatureDependence
 from .steps.board_order import number_cameras_alike
-from .steps.camera_imu_estimation import RigBeforehand, basic_model, estimate_rig
+from .steps.camera_imu_estimation import (
+    BiasesOverTemperature,
+    RigBeforehand,
+    basic_model,
+    biases_over_temperature,
+    estimate_rig,
+    without_slopes,
+)
 from .steps.camera_imu_model import (
     LINE_DELAY,
     SelectedModel,
@@ -81,7 +87,6 @@ from .steps.camera_imu_preparation import (
     refuse_clock_jumps,
     with_looks,
 )
-from .steps.camera_imu_temperature import BiasesOverTemperature, biases_over_temperature, without_slopes
 from .steps.preparation import check_arguments, local_gravity, stated_options
 
 

@@ -17,10 +17,9 @@ from ..assess.checks.camera_checks import check_views
 from ..assess.verdict import uncertainty_summary
 from ..assess.weak_findings import comparison_left_out
 from ..errors import DetectionError, GnomonError, RecordingError
-from ..estimate.cameras.holdout import held_out_residuals
-from ..estimate.cameras.rig import RigViews
+from ..estimate.cameras.first_rig import held_out_residuals
+from ..estimate.cameras.rig import RigViews, gathered_views
 from ..estimate.cameras.solution import RigSolution, solve_rig
-from ..estimate.cameras.views import gathered_views
 from ..estimate.trust.changes import estimates_are_judged
 from ..findings import Finding
 from ..models.target import Target

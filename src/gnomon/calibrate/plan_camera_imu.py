@@ -35,8 +35,7 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..simulate.camera_imu_frames import START_NS
-from ..simulate.planned import PlannedRecording, PlannedRig, planned_recording
-from ..simulate.plans import CameraImuPlan
+from ..simulate.planned import CameraImuPlan, PlannedRecording, PlannedRig, planned_recording
 from ..simulate.sensor import changed_options
 from .steps.preparation import local_gravity
 

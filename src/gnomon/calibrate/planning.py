@@ -36,8 +36,7 @@ from ..results.calibration import Calibration, Provenance
 from ..results.result import interval_means
 from ..results.sensors import CameraCalibration
 from ..results.trust import Need, WeakDirection
-from ..simulate.planned import PlannedRig, planned_rests, usual_rig
-from ..simulate.plans import CameraImuPlan, ImuPlan
+from ..simulate.planned import CameraImuPlan, ImuPlan, PlannedRig, planned_rests, usual_rig
 from ..simulate.sensor import changed_options
 from .judging import stated_use
 from .plan_camera_imu import planned_camera_imu

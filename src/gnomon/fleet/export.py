@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..errors import OptionError, install_line
 from ..output import write_whole
-from ..recording.dataframes import make_dataframe
+from ..recording.samples import make_dataframe
 from .entries import LibraryEntry
 
 _FACTS = (

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
-from ..recording.dataframes import dataframe_text, is_dataframe
+from ..recording.samples import dataframe_text, is_dataframe
 from ..units import Units
 from .devices.device_log import is_device_log
 from .files import NPZ_MAGIC, TextFile, file_source, first_bytes, read_text_file

@@ -20,7 +20,7 @@ from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
 from ..models.noise import ImuNoise
 from ..recording import Floats
-from ..recording.dataframes import make_dataframe
+from ..recording.samples import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
 from .calibration import Provenance, Verdict
 from .result import Plotted

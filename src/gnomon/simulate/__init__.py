@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from .camera_imu import simulate_camera_imu
     from .cameras import simulate_cameras
     from .magnetometer import simulate_magnetometer
-    from .plans import CameraImuPlan, ImuPlan
+    from .planned import CameraImuPlan, ImuPlan
     from .poses import simulate_poses
     from .scenarios.camera_imu import CameraImuScenario, RoomScenario
     from .scenarios.cameras import CamerasScenario
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from .turntable import simulate_turntable
 
 _HOMES = {
-    "CameraImuPlan": "plans",
+    "CameraImuPlan": "planned",
     "CameraImuScenario": "scenarios.camera_imu",
     "CamerasScenario": "scenarios.cameras",
     "FieldScenario": "scenarios.recorded",
-    "ImuPlan": "plans",
+    "ImuPlan": "planned",
     "PoseScenario": "scenarios.recorded",
     "RoomScenario": "scenarios.camera_imu",
     "Scenario": "scenarios.recorded",

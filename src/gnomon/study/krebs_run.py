@@ -9,8 +9,8 @@ from ..calibrate.camera_imu import calibrate_camera_imu
 from ..errors import GnomonError
 from ..frozen import field_names, value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..models.board_pattern import DIAGONAL, LOWER
 from ..models.noise import ImuNoise
-from ..models.pattern import DIAGONAL, LOWER
 from ..options import CameraImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Calibration

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.steps.board_corners import BoardCorners, CameraImages, detect_corners
-from gnomon.calibrate.steps.board_reading import cache_file, keep_corners, kept_corners
+from gnomon.calibrate.steps.camera_reading import cache_file, keep_corners, kept_corners
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.formats.kalibr.camchain import CameraInput
 from gnomon.models.board_pattern import board_pattern

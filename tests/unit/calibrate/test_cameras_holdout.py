@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from board_views import BOARD, lens, pose, seen
-from gnomon.estimate.cameras.first_rig import posed_rig
-from gnomon.estimate.cameras.holdout import held_out_residuals, merge_corners
-from gnomon.estimate.cameras.information import chosen_views
-from gnomon.estimate.cameras.rig import SeenCorners
+from gnomon.estimate.cameras.first_rig import held_out_residuals, merge_corners, posed_rig
+from gnomon.estimate.cameras.problem import chosen_views
+from gnomon.estimate.cameras.rig import SeenCorners, gathered_views
 from gnomon.estimate.cameras.solution import solve_rig
-from gnomon.estimate.cameras.views import gathered_views
 
 PAIR = {"cam0": lens("pinhole-radtan"), "cam1": lens("ds-none")}
 APART = np.stack([np.eye(4), pose([0.02, -0.2, 0.0], [-0.1, 0.0, 0.02])])

@@ -7,7 +7,7 @@ import gnomon
 from gnomon.calibrate.steps.camera_lenses import chosen_lenses
 from gnomon.cli import main
 from gnomon.errors import OptionError
-from gnomon.estimate.cameras.views import gathered_views
+from gnomon.estimate.cameras.rig import gathered_views
 from gnomon.models.lens_names import PROGRAMS, models_of, read_everywhere, refit_models
 from gnomon.simulate.scenarios.cameras import CamerasScenario
 

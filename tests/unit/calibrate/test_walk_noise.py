@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
-from gnomon.estimate.camera_imu.walk_noise import next_walk
+from gnomon.estimate.camera_imu.batch import next_walk
 from gnomon.options import CameraImuOptions
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.boards.quads import black_quads
+from gnomon.detect.boards.marker_boards import black_quads
 from gnomon.detect.boards.tags import BITS, FAMILY, likeness_of, read_tags, tag_pictures
 
 WHITE, BLACK = 205, 25

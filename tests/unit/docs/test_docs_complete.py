@@ -15,7 +15,7 @@ import gnomon
 import triad_result
 from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, shell_commands, text
-from gnomon.calibrate.steps import board_reading
+from gnomon.calibrate.steps import camera_reading
 from gnomon.cli.catalogue import COMMANDS, parse_command
 from gnomon.cli.commands.convert import RecordingForm
 from gnomon.cli.commands.study import PAGE, STUDIES
@@ -228,7 +228,7 @@ def test_every_kind_of_image_and_of_recording_is_documented():
     written = text("files.md").split("**Recordings.**")[1].split("\n## ")[0]
     assert {name for name in typing.get_args(RecordingForm) if f"| `{name}` |" not in written} == set()
     kept = section.split("### The corner cache")[1]
-    assert documented_keys(kept) == {*board_reading._ARRAYS, "told"}
+    assert documented_keys(kept) == {*camera_reading._ARRAYS, "told"}
 
 
 def test_every_key_of_a_board_is_documented():

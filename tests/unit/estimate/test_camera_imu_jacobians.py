@@ -16,15 +16,12 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import LENSES, problem
 from camera_imu_reference import differentiated
-from gnomon.estimate.camera_imu.batch import RigState, linearize_batch, mean_weights
-from gnomon.estimate.camera_imu.blocks import parameter_blocks
-from gnomon.estimate.camera_imu.gauss_newton import apply_step, gauss_newton_step
-from gnomon.estimate.camera_imu.layout import border_layout
-from gnomon.estimate.camera_imu.noise_found import estimated_noise
+from gnomon.estimate.camera_imu.batch import PROBES, RigState, linearize_batch, mean_weights
+from gnomon.estimate.camera_imu.gauss_newton import apply_step, estimated_noise, gauss_newton_step
+from gnomon.estimate.camera_imu.layout import border_layout, parameter_blocks
 from gnomon.estimate.camera_imu.parameters import ImuParameters, gravity_axes
 from gnomon.estimate.camera_imu.result.uncertainty import solution_uncertainty
 from gnomon.estimate.camera_imu.solution import Solution
-from gnomon.estimate.camera_imu.walk_noise import PROBES
 
 LENGTHS = [0.0, 1e-9, 1e-4, 3.0, 5.2]
 TOLERANCE = 1e-9

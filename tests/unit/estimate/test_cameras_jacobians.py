@@ -7,11 +7,10 @@ import pytest
 
 from board_views import BOARD, MODELS, lens, pose, seen
 from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise
-from gnomon.estimate.cameras.board_shape import offsets_information, stated_shape
 from gnomon.estimate.cameras.first_rig import posed_rig
-from gnomon.estimate.cameras.layout import POSE, SharedLayout
+from gnomon.estimate.cameras.layout import POSE, SharedLayout, offsets_information, stated_shape
 from gnomon.estimate.cameras.normal import accumulate_normal_equations, eliminate_poses, view_sums
-from gnomon.estimate.cameras.views import camera_corners, gathered_views
+from gnomon.estimate.cameras.rig import camera_corners, gathered_views
 
 APART = np.stack([np.eye(4), pose([0.02, -0.15, 0.3], [-0.1, 0.02, 0.03])])
 EVERYTHING = ("aspect", "bow", "corners")

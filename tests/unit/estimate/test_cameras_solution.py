@@ -8,11 +8,11 @@ from scipy.stats import chi2
 
 from board_views import BOARD, MODELS, STEP_NS, lens, pose, seen
 from gnomon.errors import InitialisationError, OptionError, SolveError
-from gnomon.estimate.cameras.board_shape import board_points, stated_shape
 from gnomon.estimate.cameras.first_lens import first_lens, fit_lens_model, general_lens
 from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, number_views_alike
+from gnomon.estimate.cameras.layout import board_points, stated_shape
+from gnomon.estimate.cameras.rig import gathered_views
 from gnomon.estimate.cameras.solution import solve_rig
-from gnomon.estimate.cameras.views import gathered_views
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.models.target import Target
 from jackknife import jackknife_covariance

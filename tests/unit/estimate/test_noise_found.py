@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.noise_found import pixel_levels
+from gnomon.estimate.camera_imu.gauss_newton import pixel_levels
 
 
 @pytest.mark.parametrize("assumed", [0.05, 0.17, 0.6])

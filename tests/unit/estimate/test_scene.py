@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.noise_found import lasting_factor
+from gnomon.estimate.camera_imu.gauss_newton import lasting_factor
 from gnomon.estimate.camera_imu.start.board_poses import resection_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures

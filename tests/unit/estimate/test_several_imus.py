@@ -16,8 +16,13 @@ from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.parameters import ImuParameters
 from gnomon.estimate.camera_imu.start.imu_alignment import with_stated_pose
 from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
-from gnomon.estimate.camera_imu.terms.imu_prediction import predicted_readings
-from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, TriadData, split_triads, within_trajectory
+from gnomon.estimate.camera_imu.terms.inertial_data import (
+    InertialData,
+    TriadData,
+    predicted_readings,
+    split_triads,
+    within_trajectory,
+)
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation

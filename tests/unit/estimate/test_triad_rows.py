@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.estimate.triads.triad_poses import TriadPoses
 from gnomon.estimate.triads.triad_rows import TriadNoiseLevels, eliminate_directions, noise_at, triad_residuals
-from gnomon.estimate.triads.triad_scaling import TriadScaling, scaled_problem
+from gnomon.estimate.triads.triad_solve import TriadScaling, scaled_problem
 
 
 def unit(vectors):

@@ -8,8 +8,8 @@ import pytest
 
 from gnomon.assess.checks.doctor import check_triad_clocks
 from gnomon.errors import InitialisationError
-from gnomon.estimate.camera_imu.blocks import parameter_blocks
 from gnomon.estimate.camera_imu.choices import lens_tolerances
+from gnomon.estimate.camera_imu.layout import parameter_blocks
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from gnomon.estimate.camera_imu.start.alignment import Alignment
 from gnomon.estimate.camera_imu.start.board_poses import BoardPoses

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.models.pattern import DIAGONAL, FULL, LOWER
+from gnomon.models.board_pattern import DIAGONAL, FULL, LOWER
 
 PATTERNS = {"diagonal": DIAGONAL, "lower": LOWER, "full": FULL}
 

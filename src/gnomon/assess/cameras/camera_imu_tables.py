@@ -5,9 +5,8 @@ import itertools
 import numpy as np
 
 from ...estimate.camera_imu.batch import RigState
-from ...estimate.camera_imu.blocks import parameter_blocks
 from ...estimate.camera_imu.choices import estimation_choices
-from ...estimate.camera_imu.layout import block_coordinates
+from ...estimate.camera_imu.layout import block_coordinates, parameter_blocks
 from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.publish import PublishedRig
 from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertain
@@ -15,8 +14,13 @@ from ...estimate.camera_imu.solution import Solution, frame_mean_square
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
 from ...estimate.camera_imu.terms.board_terms import OFFSETS
-from ...estimate.camera_imu.terms.imu_prediction import predicted_readings, specific_force
-from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, body_clock_times
+from ...estimate.camera_imu.terms.inertial_data import (
+    ImuBeforehand,
+    InertialData,
+    body_clock_times,
+    predicted_readings,
+    specific_force,
+)
 from ...estimate.camera_imu.terms.visual_terms import exposure_times
 from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, KnotGrid, Places
 from ...frozen import value_class

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...estimate.cameras.board_shape import board_points
+from ...estimate.cameras.layout import board_points
 from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners
 from ...frozen import value_class
 from ...models.target import Target

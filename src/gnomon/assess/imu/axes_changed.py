@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...estimate.multiposition.axes_change import find_axes_change
-from ...estimate.multiposition.problem import MultiPositionProblem
+from ...estimate.multiposition.problem import MultiPositionProblem, find_axes_change
 from ...findings import Finding, make_finding
 
 

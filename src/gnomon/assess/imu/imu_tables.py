@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...detect.samples.noise import allan_deviation, averaging_time
-from ...detect.samples.threshold import ThresholdTrial
+from ...detect.samples.threshold import ThresholdTrial, allan_deviation, averaging_time
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors

@@ -27,7 +27,7 @@ from ...readers.rig.imu_stream import with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ...recording.frames import ImageRecording, ImageStream
 from ...units import Units
-from .board_reading import Progress, read_camera_corners, stated_cameras
+from .camera_reading import Progress, read_camera_corners, stated_cameras
 
 _RATE_TOLERANCE = 0.05
 NO_BOARD = "none"

@@ -7,12 +7,10 @@ import numpy as np
 
 from ...detect.boards.board import BoardView
 from ...detect.boards.checkerboard_order import ambiguous_turns, renumber_view
-from ...estimate.cameras.first_rig import first_rig, number_views_alike
-from ...estimate.cameras.holdout import at_poses, held_out_residuals, merge_corners
-from ...estimate.cameras.information import chosen_views
+from ...estimate.cameras.first_rig import at_poses, first_rig, held_out_residuals, merge_corners, number_views_alike
 from ...estimate.cameras.layout import POSE, SharedLayout
-from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners
-from ...estimate.cameras.views import gathered_views
+from ...estimate.cameras.problem import chosen_views
+from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners, gathered_views
 from ...estimate.trust.clusters import leave_clusters_out
 from ...findings import Finding, make_finding
 from ...frozen import value_class

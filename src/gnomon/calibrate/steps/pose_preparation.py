@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal
-from ...detect.samples.noise import resting_noise
 from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
-from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.static import (
+from ...detect.samples.rests import (
     resting_variances,
     runs_below,
     variance_magnitude_squared,
     window_samples,
     window_variances,
 )
+from ...detect.samples.rounding import rounding_variance
+from ...detect.samples.threshold import resting_noise
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked

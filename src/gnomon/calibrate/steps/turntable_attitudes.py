@@ -5,11 +5,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...detect.samples.noise import resting_noise
 from ...detect.samples.steady import block_means, block_samples
+from ...detect.samples.threshold import resting_noise
 from ...errors import RecordingError
-from ...estimate.turntable.axis import AxisInSensor, Between, ForceBlocks, axis_in_sensor, link_parts
-from ...estimate.turntable.parts import TurntableData, TurntableParts
+from ...estimate.turntable.parts import (
+    AxisInSensor,
+    Between,
+    ForceBlocks,
+    TurntableData,
+    TurntableParts,
+    axis_in_sensor,
+    link_parts,
+)
 from ...estimate.turntable.speeds import NO_SPEED, Speeds
 from ...findings import Finding
 from ...frozen import value_class

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ...simulate.plans import CameraImuPlan, ImuPlan
+from ...simulate.planned import CameraImuPlan, ImuPlan
 from ..command import CamFile, Command, FileOption, Flat, PlannedUse
 from ..inputs import read_use_option
 from ..results import UNUSABLE, USABLE, print_assumptions, print_findings

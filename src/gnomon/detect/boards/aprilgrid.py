@@ -21,7 +21,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from ..corners.corner_fit import CornerKind, fit_corners
-from ..corners.fitted_corners import CornerFits, join_corner_fits
+from ..corners.corner_windows import CornerFits, join_corner_fits
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .marker_boards import (
     BORDER_PX,
@@ -31,14 +31,15 @@ from .marker_boards import (
     MOVED_PX,
     NEAR_BORDER,
     WINDOW,
+    Search,
     as_good_as,
     inside_image,
+    quad_search_scale,
     quads_searched,
     unrepeated_tags,
     view_of,
 )
 from .plane_map import LensGuess, PlaneMap
-from .quads import Search, quad_search_scale
 from .tag_places import (
     TAG,
     consistent_additions,

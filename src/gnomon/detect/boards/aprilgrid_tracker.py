@@ -22,7 +22,7 @@ from ..corners.corner_fit import CornerKind
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of
 from .checkerboard import checkerboard_search_scale, reduce_image
-from .optical_flow import carry_corners
+from .lattice import carry_corners
 from .plane_map import LensGuess
 from .tag_places import locate_points
 

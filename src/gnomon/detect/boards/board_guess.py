@@ -17,7 +17,7 @@ from .checkerboard import board_near, checkerboard_search_scale, reduce_image
 from .checkerboard_grid import fill_grid
 from .discs import disc_lattices, find_discs
 from .lattice import Lattice, find_lattices, find_saddles
-from .quads import black_quads
+from .marker_boards import black_quads
 from .tags import Tags, read_markers, read_tags, square_to_quads
 
 _MOST_IMAGES = 16

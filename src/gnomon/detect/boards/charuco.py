@@ -21,9 +21,8 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from ..corners.corner_fit import fit_corners
-from ..corners.fitted_corners import CornerFits, join_corner_fits
+from ..corners.corner_windows import CornerFits, join_corner_fits
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
-from .charuco_lattice import corners_by_lattice
 from .marker_boards import (
     BORDER_PX,
     CONTRAST,
@@ -32,6 +31,7 @@ from .marker_boards import (
     MOVED_PX,
     NEAR_BORDER,
     WINDOW,
+    Search,
     as_good_as,
     inside_image,
     quads_searched,
@@ -39,9 +39,8 @@ from .marker_boards import (
     view_of,
 )
 from .plane_map import plane_map
-from .quads import Search
 from .tag_places import connected_tags, consistent_corners, locate_points, map_points, once_each, shortest_side
-from .tags import Tags, read_markers, square_to_quads
+from .tags import Tags, corners_by_lattice, read_markers, square_to_quads
 
 _FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
 _FEWEST_MARKERS, _FEWEST_CORNERS = 2, 4  # a marker that is alone might be any

@@ -22,9 +22,8 @@ from ...recording.frames import Grey
 from ..corners.corner_fit import fit_corners
 from .board import SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps, reaches_outside
-from .lattice import Lattice, find_lattices, find_saddles, squared_distances
+from .lattice import Lattice, carry_corners, find_lattices, find_saddles, squared_distances
 from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
-from .optical_flow import carry_corners
 from .plane_map import LensGuess
 
 _SEARCH_WIDTH = 480  # an image is reduced by halves until it is narrower

@@ -15,8 +15,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
-from ..corners.corner_windows import Singles, normal_distribution, pack_rows
-from ..corners.fitted_corners import PointFits, damp_diagonals
+from ..corners.corner_windows import PointFits, Singles, damp_diagonals, normal_distribution, pack_rows
 
 _PARAMETERS = 10
 _ITERATIONS, _CONVERGED_PX, _MOST = 6, 0.01, 0.9  # the next step would be its square

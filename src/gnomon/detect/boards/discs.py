@@ -19,7 +19,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from .lattice import Lattice, laid_out
-from .quads import black_limits
+from .marker_boards import black_limits
 
 _CONTRAST = 0.3  # a neighbourhood with less contrast than this share of the strongest has no disc
 _LEAST_AREA_PX, _LARGEST = 8.0, 0.03  # of a disc; the latter over the image

@@ -22,7 +22,7 @@ import numpy as np
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
-from ..corners.fitted_corners import CornerFits
+from ..corners.corner_windows import CornerFits
 from .board import middle_of
 from .tag_places import fit_homography, map_points
 

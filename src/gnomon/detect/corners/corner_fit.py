@@ -27,18 +27,20 @@ from ...kernel.library import MOST_PIXELS, descend_corners
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from .corner_windows import (
+    DAMPING,
     SATURATED,
     Booleans,
+    CornerFits,
     PixelGrid,
     Singles,
     Windows,
+    damp_diagonals,
     edge_windows,
     gather_pixels,
     grid_around,
     normal_distribution,
     round_windows,
 )
-from .fitted_corners import DAMPING, CornerFits, damp_diagonals
 
 CornerKind = Literal["crossing", "tip"]
 

@@ -16,8 +16,7 @@ from ...recording import Floats, Integers
 from ...results.trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
 from ..trust.model_choice import CandidateBlock, CandidateStep, model_steps
-from .blocks import ParameterBlock, parameter_blocks, sensor_priors
-from .layout import BorderLayout, Status
+from .layout import BorderLayout, ParameterBlock, Status, parameter_blocks, sensor_priors
 from .parameters import RigParameters
 
 _MODEL_BLOCKS = {

@@ -13,8 +13,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, right_jacobian, rotvec_from_rotation, skew
 from ...recording import Floats, KnownRig
-from .blocks import lenses_of
-from .layout import BorderLayout
+from .layout import BorderLayout, lenses_of
 from .parameters import RigParameters
 
 _POSE = 6

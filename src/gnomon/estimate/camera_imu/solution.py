@@ -11,13 +11,20 @@ from ...progress import Progress, Step
 from ...recording import Floats
 from ...results.trust import ModelStep
 from ...solve.bordered_band import Workspace
-from .batch import Measurements, NoiseLevels, NormalEquations, RigState, error_terms, linearize_batch
-from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search
+from .batch import Measurements, NoiseLevels, NormalEquations, RigState, error_terms, linearize_batch, next_walk
+from .gauss_newton import (
+    GaussNewtonStep,
+    Iteration,
+    apply_step,
+    estimated_noise,
+    gauss_newton_step,
+    lasting_factor,
+    line_search,
+    pixel_levels,
+)
 from .layout import BorderLayout
-from .noise_found import estimated_noise, lasting_factor, pixel_levels
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
 from .terms.inertial_data import InertialNoise
-from .walk_noise import next_walk
 
 GATE = 4.0
 """A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""

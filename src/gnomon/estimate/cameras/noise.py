@@ -11,8 +11,7 @@ import numpy as np
 from ...recording import Floats, Integers
 from ..camera_imu.start.board_poses import SMALLEST_PX
 from ..camera_imu.terms.corner_sums import CornerSums
-from .rig import RigViews
-from .views import CameraCorners
+from .rig import CameraCorners, RigViews
 
 HUBER = 3.0
 """Distance in sigmas from which on a corner counts less; one of ninety does by chance."""

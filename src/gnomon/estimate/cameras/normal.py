@@ -18,10 +18,8 @@ from ...models.target import Target
 from ...recording import Floats
 from ..camera_imu.terms.board_terms import CornerProducts
 from ..camera_imu.terms.corner_sums import CornerNoise, CornerSums, corner_sums
-from .board_shape import board_points
-from .layout import POSE, SharedLayout
-from .rig import CameraRig
-from .views import CameraCorners
+from .layout import POSE, SharedLayout, board_points
+from .rig import CameraCorners, CameraRig
 
 _LOST = 0.25  # of the image's width: how far off a corner counts that the lens cannot image
 

@@ -17,8 +17,7 @@ from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
 from .normal import ReducedEquations, ViewNormalEquations, eliminate_poses, view_sums
 from .problem import Problem
-from .rig import CameraRig, RigSolution, RigViews, SeenCorners
-from .views import CameraCorners
+from .rig import CameraCorners, CameraRig, RigSolution, RigViews, SeenCorners
 
 _AT_REST = 3e-3  # sigmas of a shared parameter
 _NEARLY = 0.3  # the same, for a round whose weights are not final yet

@@ -28,7 +28,6 @@ from .drift import (
     with_trend,
     without_functions,
 )
-from .magnitude import fit_magnitude
 from .model import (
     B_,
     BG_,
@@ -44,9 +43,9 @@ from .model import (
     linearize_model,
     normal_equations,
 )
-from .noise_levels import ExtraVariance, estimate_extra_variance, rotation_variance, whitened_rest
+from .noise_levels import ExtraVariance, estimate_extra_variance, rotation_variance, whitened_rest, with_sampling_error
 from .rotations import linear_start
-from .sampling import with_sampling_error
+from .tedaldi import fit_magnitude
 
 _MOST_ITERATIONS = 30
 _NEGLIGIBLE_STEP = 1e-4  # of a sigma; Gauss-Newton's next step would be a thousand times smaller

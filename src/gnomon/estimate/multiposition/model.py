@@ -81,7 +81,7 @@ class MultiPositionData:
     interval_s, rotation_s : (n,), (n - 1,) middle of each static interval and of each rotation [s]
     span_s : start of the first and end of the last static interval [s]
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
-    sampling_variance : variance of each rotation per axis by motion between samples, see sampling.py [rad^2]
+    sampling_variance : variance of each rotation per axis by motion between samples, see noise_levels.py [rad^2]
     half_s : (n,) half of the length of each static interval [s], or None
     rests : means of the accelerometer and the gyroscope at rest, long static intervals in parts; None where the biases
         of other instants are not looked for

@@ -14,16 +14,19 @@ from ...recording import Floats, Integers
 from ...results.result import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadProblem, known_magnitudes, true_vectors
-from .triad_scaling import TriadScaling, scaled_problem, weak_sigma, with_weak_prior
 from .triad_solve import (
     Linear,
     Minimum,
+    TriadScaling,
     covariance_at,
     equation_counts,
     extra_variance,
     fit_extra_variance,
     gate_outliers,
     irls,
+    scaled_problem,
+    weak_sigma,
+    with_weak_prior,
 )
 from .triad_start import ENOUGH, START_VARIANCE, check_determined, first_fit
 

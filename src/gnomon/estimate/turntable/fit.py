@@ -15,12 +15,11 @@ from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ..multiposition.bias_course import BiasCourse, bias_course
+from ..multiposition.drift import BiasCourse, bias_course
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.cluster_trust import RobustCovariance
-from .axis import AxisInSensor
-from .parts import TurntableData, drift_at, shown_density
+from .parts import AxisInSensor, TurntableData, drift_at, shown_density
 
 Sense = Literal["clockwise", "counterclockwise"]
 

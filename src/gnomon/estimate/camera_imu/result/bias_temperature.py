@@ -13,7 +13,7 @@ import numpy as np
 
 from ....recording import Floats
 from ..solution import Solution
-from ..terms.prior_terms import random_walk_links
+from ..terms.assembly import random_walk_links
 from ..trajectory import BIAS, POSE, KnotGrid
 
 

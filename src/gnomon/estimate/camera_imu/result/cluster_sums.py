@@ -22,8 +22,15 @@ from ....recording import Floats, Integers
 from ...trust.clusters import ClusterSums
 from ..batch import error_terms
 from ..solution import Solution
-from ..terms.assembly import TRIAD, by_span, taken_together
-from ..terms.prior_terms import FIRST_BIAS_SIGMA, border_priors, random_walk_links, second_differences
+from ..terms.assembly import (
+    FIRST_BIAS_SIGMA,
+    TRIAD,
+    border_priors,
+    by_span,
+    random_walk_links,
+    second_differences,
+    taken_together,
+)
 from ..terms.visual_terms import VisualTerms, exposure_times
 from ..trajectory import BIAS, POSE, KnotGrid, Trajectory
 

@@ -18,8 +18,7 @@ from ....recording import Floats, Integers
 from ..batch import RigState, error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, taken_together
-from ..terms.imu_prediction import predicted_readings
-from ..terms.inertial_data import InertialData
+from ..terms.inertial_data import InertialData, predicted_readings
 from ..trajectory import BIAS, POSE
 from .cluster_sums import bias_sides
 from .uncertainty import TriadMisfit, Uncertainty

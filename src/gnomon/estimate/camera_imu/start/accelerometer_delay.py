@@ -12,8 +12,7 @@ import numpy as np
 
 from ....geometry.rotation_vector import acceleration_by_place
 from .alignment import Alignment
-from .board_poses import BoardPoses
-from .camera_acceleration import averaged_derivative, averaged_readings, camera_accelerations
+from .board_poses import BoardPoses, averaged_derivative, averaged_readings, camera_accelerations
 from .first_guess import ImuStream
 
 _GRID_S = np.arange(-0.06, 0.0601, 0.002)

@@ -1,4 +1,14 @@
-"""Readings of gyroscopes and accelerometers, and where they lie on the trajectory."""
+"""Readings of gyroscopes and accelerometers, and where they lie on the trajectory.
+
+What an IMU feels where it sits, and how that changes with the motion of the body.
+
+With R = R_imu_body and t the last column of T_imu_body, in the axes of the IMU, a sensor at r in its frame sits at
+r - t from the body's origin, and
+
+    omega_i = R omega,   alpha_i = R alpha,   f_i = R f + A (r - t),   A = [alpha_i]x + [omega_i]x^2.
+
+Turning the pose by a small rotation d on the right changes each of R omega, R alpha and R f, v, by -[v]x R d.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -6,12 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from ....frozen import value_class
+from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
 from ....models.noise import ImuNoise
 from ....recording import Floats
 from ..layout import Status
 from ..parameters import ImuParameters, RigParameters
 from ..start.initial_trajectory import MARGIN_S
-from ..trajectory import KnotGrid, Places
+from ..trajectory import Bases, KnotGrid, MotionState, Places, Trajectory
 
 
 @value_class
@@ -149,3 +160,130 @@ def some_readings(data: InertialData, which: np.ndarray | slice) -> InertialData
     return InertialData(
         imu=data.imu, t_s=data.t_s[which], gyroscope=of(data.gyroscope), accelerometer=of(data.accelerometer)
     )
+
+
+def specific_force(motion: MotionState, gravity: Floats) -> Floats:
+    """Return the specific force at the body's origin, in the axes of the motion, (n, 3) [m/s^2]."""
+    return np.matmul((motion.acceleration - gravity)[:, None, :], motion.R)[:, 0, :]
+
+
+def motion_of_imu(trajectory: Trajectory, places: Places, bases: Bases, imu: ImuParameters) -> MotionState:
+    """Return the motion of the body in the axes of an IMU."""
+    motion = trajectory.motion(places, bases)
+    return motion if imu.is_body else motion.turned(imu.R_imu_body)
+
+
+def origin_places(imu: ImuParameters) -> Floats:
+    """Return three times where an IMU's origin is from the body's, in the IMU's axes, (3, 3), a row each [m]."""
+    return np.tile(-imu.p_imu_body, (3, 1))
+
+
+def accelerometer_places(imu: ImuParameters) -> Floats:
+    """Return where an IMU's accelerometers are from the body's origin, in the IMU's axes, (3, 3), a row each [m]."""
+    return imu.places - imu.p_imu_body
+
+
+def predict_imu(
+    imu: ImuParameters, motion: MotionState, force: Floats, biases: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return what gyroscope [rad/s] and accelerometer [m/s^2] read, (n, 3) each, by the model of chapter 4.
+
+    Parameters
+    ----------
+    motion, force : of the body, in the axes of the IMU
+    biases : (n, 3) of gyroscope and accelerometer
+    """
+    at_origin, at_sensors = force, force
+    if imu.places.any() or imu.p_imu_body.any():
+        A = acceleration_by_place(motion.omega, motion.alpha)
+        at_sensors = force + along_axes(A, accelerometer_places(imu))
+        if imu.p_imu_body.any():
+            at_origin = force + along_axes(A, origin_places(imu))
+    gyroscope = motion.omega @ imu.gyroscope_sensitivity.T + at_origin @ imu.B_g.T + biases[0]
+    return gyroscope, at_sensors @ imu.accelerometer_sensitivity.T + biases[1]
+
+
+def predicted_readings(trajectory: Trajectory, parameters: RigParameters, data: InertialData) -> tuple[Floats, Floats]:
+    """Return what gyroscope and accelerometer should read at the timestamps of some readings, (n, 3) each.
+
+    Of a triad that does not have these timestamps they mean nothing; outside of the trajectory they are nan.
+    """
+    imu = parameters.imus[data.imu]
+    whole = np.full((2, len(data.t_s), 3), np.nan)
+    for which in (0, 1) if imu.accelerometer_shift_s and data.gyroscope is not None else (None,):
+        t_s = body_clock_times(data, imu) + (imu.accelerometer_shift_s if which == 1 else 0.0)
+        places = trajectory.grid.places(t_s)
+        inside = places.inside
+        places = places.some(inside)
+        motion = motion_of_imu(trajectory, places, Bases.at(places, trajectory.grid), imu)
+        force = specific_force(motion, parameters.gravity)
+        found = predict_imu(imu, motion, force, trajectory.bias(places, data.imu))
+        for kind in (0, 1) if which is None else (which,):
+            whole[kind, inside] = found[kind]
+    return whole[0], whole[1]
+
+
+@value_class
+class ForceJacobian:
+    """Derivatives (n, 3, 3) by the rotation vector, its rate and acceleration, and the acceleration of the body."""
+
+    phi: Floats
+    rate: Floats | None = None
+    phi_acceleration: Floats | None = None
+    acceleration: Floats | None = None
+
+    def scaled(self, matrix: Floats) -> "ForceJacobian":
+        """Return the derivatives of matrix @ v, (3, 3)."""
+        return ForceJacobian(
+            phi=matrix @ self.phi,
+            rate=None if self.rate is None else matrix @ self.rate,
+            phi_acceleration=None if self.phi_acceleration is None else matrix @ self.phi_acceleration,
+            acceleration=None if self.acceleration is None else matrix @ self.acceleration,
+        )
+
+    def plus(self, other: "ForceJacobian") -> "ForceJacobian":
+        """Return the derivatives of a sum."""
+        return ForceJacobian(
+            phi=self.phi + other.phi,
+            rate=_sum(self.rate, other.rate),
+            phi_acceleration=_sum(self.phi_acceleration, other.phi_acceleration),
+            acceleration=_sum(self.acceleration, other.acceleration),
+        )
+
+
+def _sum(one: Floats | None, other: Floats | None) -> Floats | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
+
+
+def at_origin(motion: MotionState, force: Floats) -> ForceJacobian:
+    """Return the derivatives of the specific force at the body's origin."""
+    return ForceJacobian(phi=skew(force) @ motion.phi_jacobian, acceleration=np.swapaxes(motion.R, 1, 2))
+
+
+def at_places(motion: MotionState, force: Floats, places: Floats) -> ForceJacobian:
+    """Return the derivatives of f_k + e_k' A r_k, which depends on omega and alpha, with r_k the rows of (3, 3)."""
+    by_omega, by_alpha = _along(motion.omega, places)
+    alpha_by = motion.alpha_jacobians()
+    by = at_origin(motion, force)
+    return ForceJacobian(
+        phi=by.phi + by_omega @ motion.omega_by_phi + by_alpha @ alpha_by[0],
+        rate=by_omega @ motion.phi_jacobian + by_alpha @ alpha_by[1],
+        phi_acceleration=by_alpha @ alpha_by[2],
+        acceleration=by.acceleration,
+    )
+
+
+def jacobian_by_imu_rotation(motion: MotionState, force: Floats, places: Floats) -> Floats:
+    """Return the derivative (n, 3, 3) of f_k + e_k' A r_k by a small turn of omega, alpha and f against the places."""
+    by_omega, by_alpha = _along(motion.omega, places)
+    return -(skew(force) + by_omega @ skew(motion.omega) + by_alpha @ skew(motion.alpha))
+
+
+def _along(omega: Floats, places: Floats) -> tuple[Floats, Floats]:
+    """Return the derivatives of e_k' A r_k by omega, (n, 3, 3), and by alpha, (3, 3)."""
+    along = omega @ places.T
+    by_omega = along[:, :, None] * np.eye(3) + omega[:, :, None] * places
+    by_omega -= 2 * np.diag(places)[:, None] * omega[:, None, :]
+    return by_omega, np.cross(places, np.eye(3))

@@ -23,23 +23,27 @@ from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
 from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
 from ....kernel import library
-from ....models.pattern import DIAGONAL, FULL, LOWER
+from ....models.board_pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
 from ..parameters import RigParameters
 from ..trajectory import BIAS, POSE, Bases, MotionState, Places, Trajectory
 from .assembly import TRIAD, Columns
-from .imu_prediction import (
+from .inertial_data import (
     ForceJacobian,
+    InertialData,
+    InertialNoise,
+    TriadData,
     accelerometer_places,
     at_origin,
     at_places,
     jacobian_by_imu_rotation,
     motion_of_imu,
+    on_grid,
     origin_places,
+    some_readings,
     specific_force,
 )
-from .inertial_data import InertialData, InertialNoise, TriadData, on_grid, some_readings
 
 _DRAWN = 128  # spans whose signs are drawn together
 
