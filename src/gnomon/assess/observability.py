@@ -164,12 +164,8 @@ def _parts(known: AvailableInformation) -> Iterator[Part]:
     return estimated_parts(known.names, known.covariance, {**known.R_cam_imu, **known.R_imu_body})
 
 
-def _held(known: AvailableInformation, part: Part) -> bool:
-    return bool(part.sigma[0] > HELD * _prior_along(known, part))
-
-
 def _weak(known: AvailableInformation, part: Part, limit: float) -> WeakDirection | None:
-    held = _held(known, part)
+    held = bool(part.sigma[0] > HELD * _prior_along(known, part))
     if part.sigma[0] <= limit and not held:
         return None
     limit = min(limit, LIMITS[part.kind])

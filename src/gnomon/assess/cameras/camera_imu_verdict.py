@@ -333,15 +333,11 @@ def _white_noise(levels: list[NoiseLevel]) -> list[Finding]:
             estimated=level.estimated,
             nominal=level.nominal,
             unit=level.unit,
-            use=_use(level),
+            use=f"Used was {level.used:.3g} {level.unit}.",
         )
         for level in levels
         if np.isfinite(level.nominal) and not 1 / _NOISE_FACTOR < level.estimated / level.nominal < _NOISE_FACTOR
     ]
-
-
-def _use(level: NoiseLevel) -> str:
-    return f"Used was {level.used:.3g} {level.unit}."
 
 
 def _clocks(evidence: CameraImuFitSummary) -> list[Finding]:

@@ -108,7 +108,7 @@ def check_quality(name: str, quality: FrameQuality, corners: int, sigma_px: Floa
     found = [
         *blur_findings(name, quality.blur_px),
         *_exposure(name, quality),
-        *_second_board(name, quality.dropped),
+        *([make_finding("board-twice", name=name)] if quality.dropped.get(SECOND_BOARD) else []),
         *_dropped(name, quality.dropped, corners),
         *_uncertain(name, sigma_px),
     ]
@@ -194,10 +194,6 @@ def _exposure(name: str, quality: FrameQuality) -> list[Finding]:
             )
         )
     return findings
-
-
-def _second_board(name: str, dropped: Mapping[str, int]) -> list[Finding]:
-    return [make_finding("board-twice", name=name)] if dropped.get(SECOND_BOARD) else []
 
 
 def _dropped(name: str, dropped: Mapping[str, int], corners: int) -> list[Finding]:

@@ -272,7 +272,7 @@ def _detector(target: Target) -> Detector:
 def _check_stream(name: str, look: StreamSummary, camera: Camera | None, target: Target | None) -> list[Finding]:
     findings = [_incomplete(name, note) for note in look.notes]
     if len(look.t_ns) < _FEWEST_FRAMES:
-        findings.append(_missing(name, len(look.t_ns)))
+        findings.append(make_finding("images-missing", name=name, count=len(look.t_ns)))
     findings += _damaged(name, look)
     if not look.looks:
         return findings
@@ -285,10 +285,6 @@ def _check_stream(name: str, look: StreamSummary, camera: Camera | None, target:
 
 def _incomplete(name: str, note: str) -> Finding:
     return make_finding("images-incomplete", case="named" if name in note else "", note=note, name=name)
-
-
-def _missing(name: str, count: int) -> Finding:
-    return make_finding("images-missing", name=name, count=count)
 
 
 def _damaged(name: str, look: StreamSummary) -> list[Finding]:

@@ -124,7 +124,7 @@ class ComparisonCandidate:
         cameras = {
             names.get(name, name): camera
             if camera.body == "imu0"
-            else replace(camera, body=_called(camera.body, names))
+            else replace(camera, body=cast("Literal['imu0', 'cam0']", names.get(camera.body, camera.body)))
             for name, camera in self.cameras.items()
         }
         lenses = {names.get(name, name): lens for name, lens in self.lenses.items()}
@@ -143,11 +143,6 @@ class ComparisonCandidate:
     def all_lenses(self) -> dict[str, Camera]:
         """All cameras, with and without a place."""
         return {**{name: camera.camera for name, camera in self.cameras.items()}, **self.lenses}
-
-
-def _called(body: Literal["imu0", "cam0"], names: Mapping[str, str]) -> Literal["imu0", "cam0"]:
-    """Return the name of the camera to which the others are placed after a renaming, whatever it is."""
-    return cast("Literal['imu0', 'cam0']", names.get(body, body))
 
 
 def _with_lever_arms(found: ForeignCalibration) -> dict[str, ImuCalibration]:

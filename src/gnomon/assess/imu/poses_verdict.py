@@ -46,7 +46,7 @@ def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Ass
     table = record.poses
     holdout = Holdout(accelerometer_rms=_holdout(table), rate_rms=_rate_holdout(gyroscope))
     findings = [
-        *_noticed(evidence),
+        *[f for f in evidence.noticed if f.severity in ("warning", "info") and f.code not in _OF_ROTATIONS],
         *_attitude_findings(evidence),
         *scatter_findings(evidence.fit, record.noise_sigma, evidence.gravity.value, "m/s^2"),
         *_holdout_findings(holdout.accelerometer_rms, evidence.gravity.value),
@@ -147,11 +147,6 @@ def _rate_holdout(gyroscope: RestingGyroscope | None) -> float:
     if gyroscope is None or gyroscope.sensitivity is None:
         return float("nan")
     return root_mean_square(gyroscope.fit.holdout * gyroscope.unit_rad_s)
-
-
-def _noticed(evidence: PoseFitSummary) -> list[Finding]:
-    """Return what the data doctor found, but for what concerns rotations."""
-    return [f for f in evidence.noticed if f.severity in ("warning", "info") and f.code not in _OF_ROTATIONS]
 
 
 def _attitude_findings(evidence: PoseFitSummary) -> list[Finding]:

@@ -78,7 +78,7 @@ def _fall(result: TemperatureResult) -> float | None:
 def _order_finding(name: str, triad: TriadOverTemperature, result: TemperatureResult) -> Finding:
     factor, unit = _SHOWN[name]
     if not triad.order:
-        sigma = factor * max(_per_range(triad))
+        sigma = factor * max(float(np.std(axis.values)) for axis in triad.axes)
         return make_finding("temperature-order/none", name=name, sigma=sigma, unit=unit)
     change = max(float(np.ptp(axis.change)) for axis in triad.axes)
     sigma = max(float(axis.sigma.max()) for axis in triad.axes)
@@ -125,11 +125,6 @@ def _felt_findings(result: TemperatureResult) -> list[Finding]:
             range=span,
         )
     ]
-
-
-def _per_range(triad: TriadOverTemperature) -> list[float]:
-    """Return the scatter of each axis over the range that no polynomial explains [SI]."""
-    return [float(np.std(axis.values)) for axis in triad.axes]
 
 
 def _branch_findings(name: str, triad: TriadOverTemperature) -> list[Finding]:

@@ -55,7 +55,7 @@ def number_cameras_alike(
             ordered = _with_gyroscope(name, with_views(frames, ordered.views), target, origin_ns, stream) or ordered
         if not ordered.certain:
             ordered, lost = _longest_piece(ordered)
-            findings.append(_uncertain(name, lost, len(frames.t_ns)))
+            findings.append(make_finding("board-ends", name=name, lost=lost, frames=len(frames.t_ns)))
         found[name] = with_views(frames, ordered.views)
     return _from_one_end(found, target, origin_ns, stream), tuple(findings)
 
@@ -174,7 +174,3 @@ def _longest_piece(ordered: OrderedViews) -> tuple[OrderedViews, int]:
 
 def _empty(view: BoardView) -> BoardView:
     return replace(view, point=view.point[:0], pixels=view.pixels[:0], sigma_px=view.sigma_px[:0])
-
-
-def _uncertain(name: str, lost: int, frames: int) -> Finding:
-    return make_finding("board-ends", name=name, lost=lost, frames=frames)

@@ -103,7 +103,7 @@ def estimate_rig(
             _check_origin(options, estimation_choices(state.parameters, options).status)
             start = parameters = state.parameters
         chosen = estimation_choices(state.parameters, options, added=added)
-        origin = _with_gravity(start, state.parameters)
+        origin = replace(start, gravity_axes=state.parameters.gravity_axes)
         solution = minimise_cost(
             _measurements(rig, state, options, chosen.status),
             state,
@@ -178,11 +178,6 @@ def _largest_move(one: RigParameters, other: RigParameters) -> float:
     for a, b in zip(one.imus, other.imus, strict=True):
         moves += [abs(a.shift_s(accelerometer=which) - b.shift_s(accelerometer=which)) for which in (False, True)]
     return max(moves)
-
-
-def _with_gravity(start: RigParameters, state: RigParameters) -> RigParameters:
-    """Return start values with gravity's direction as the trajectory has it."""
-    return replace(start, gravity_axes=state.gravity_axes)
 
 
 def _check_origin(options: CameraImuOptions, status: dict[str, Status]) -> None:

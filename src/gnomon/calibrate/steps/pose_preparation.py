@@ -297,7 +297,7 @@ def _rest_of_each(
     statistics = _statistics(triads, [pieces[k] for k in usable], [windows[k] for k in usable])
     statistic = dict(zip(usable, statistics, strict=True))
     multiplier = options.multiplier or _MULTIPLIER
-    rests = [_none() for _ in pieces]
+    rests = [StaticIntervals(start=np.empty(0, np.int64), stop=np.empty(0, np.int64)) for _ in pieces]
     for k in usable:
         piece = pieces[k]
         shortest = min(round(_SHORTEST_S * triads[0].rate_hz), (piece.stop - piece.start) // 2)
@@ -313,10 +313,6 @@ def _rest_of_each(
     )
     left_out = tuple((pieces[k].name, reason) for k, reason in enumerate(reasons) if reason)
     return intervals, tuple(pieces[k].name for k in kept), left_out
-
-
-def _none() -> StaticIntervals:
-    return StaticIntervals(start=np.empty(0, np.int64), stop=np.empty(0, np.int64))
 
 
 def _statistics(triads: list[TriadSamples], pieces: list[Piece], windows: list[int]) -> list[Floats]:

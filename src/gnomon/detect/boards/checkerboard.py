@@ -65,7 +65,7 @@ def find_board(image: Grey, target: Target) -> CheckerboardGrid | None:
         boards = [board for one in lattices[:_LATTICES] if (board := _board_of(image, one, scale, target)) is not None]
         if boards:
             return _first_of(boards)
-        if not any(_asks_for_more(lattice) for lattice in lattices[:3]):
+        if not any(len(lattice) >= _EVIDENCE and lattice.spacing_px < _FINER_PX for lattice in lattices[:3]):
             return None
         scale //= 2
     return None
@@ -80,11 +80,6 @@ def _first_of(boards: list[CheckerboardGrid]) -> CheckerboardGrid:
     if not apart:
         return first
     return replace(first if comes_first(first.middle, apart[0].middle) else apart[0], again=True)
-
-
-def _asks_for_more(lattice: Lattice) -> bool:
-    """Tell whether a finer image may show more of a lattice."""
-    return len(lattice) >= _EVIDENCE and lattice.spacing_px < _FINER_PX
 
 
 def checkerboard_search_scale(image: Grey) -> int:

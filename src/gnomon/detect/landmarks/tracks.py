@@ -153,7 +153,7 @@ class Landmarks:
         step_by = np.linalg.inv(square) @ slope
         length, alike = np.zeros(len(which)), np.zeros(len(which))
         for _ in range(level.rounds):
-            seen = _sampled(image, places.T[:, :, None] + _grid(level)[:, None])
+            seen = _normalised(_looked_up(image, places.T[:, :, None] + _grid(level)[:, None]))[0]
             alike = np.einsum("ns,ns->n", seen, template).astype(np.float64)
             step = (step_by @ (template - seen)[:, :, None])[:, :, 0].astype(np.float64)
             length = np.linalg.norm(step, axis=1)
@@ -226,11 +226,6 @@ def _node_weights(level: _Level) -> Floats:
 def _looked_up(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
     u, v = at.astype(np.float32)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
-
-
-def _sampled(image: NDArray[np.float32], at: Floats) -> NDArray[np.float32]:
-    """Return samples (k, s), of unit length about their mean."""
-    return _normalised(_looked_up(image, at))[0]
 
 
 def _normalised(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -119,7 +119,7 @@ def axis_in_sensor(blocks: ForceBlocks) -> AxisInSensor:
     if fastest == 0.0:
         return AxisInSensor(
             upright=force.mean(axis=0),
-            variance=_variance_of_mean(force),
+            variance=np.var(force, axis=0, ddof=1) / len(force) if len(force) > 1 else np.full(3, np.inf),
             tilt=np.zeros((3, 2)),
             separated=True,
             rate=0.0,
@@ -175,10 +175,6 @@ def _angle_scale(blocks: ForceBlocks, fixed: Floats) -> float:
         around = best + step * np.array([-1.0, 0.0, 1.0])
         best = float(around[int(np.argmin([misfit(scale) for scale in around]))])
     return best if misfit(1.0) - misfit(best) > _SIGNIFICANT else 1.0
-
-
-def _variance_of_mean(values: Floats) -> Floats:
-    return np.var(values, axis=0, ddof=1) / len(values) if len(values) > 1 else np.full(3, np.inf)
 
 
 @value_class

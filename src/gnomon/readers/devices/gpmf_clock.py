@@ -70,7 +70,7 @@ def sample_clock(blocks: tuple[PayloadBlock, ...], times: PayloadTimes | None, o
     counts = np.array([len(block.values) for block in blocks])
     first, lost = _first_samples(blocks, counts)
     stamps = [block.stamp_us for block in blocks]
-    stamped = None not in stamps and _rises(np.array(stamps, dtype=np.float64))
+    stamped = None not in stamps and bool((np.diff(np.array(stamps, dtype=np.float64)) > 0).all())
     if stamped:
         at = np.array(stamps, dtype=np.float64) * 1e-6 - origin_s
         index, at = _with_end(first, at, counts, _last_s(blocks, times) if len(blocks) == 1 else None)
@@ -121,10 +121,6 @@ def _with_end(first: Integers, at: Floats, counts: Integers, last_s: float | Non
     if last_s is None:
         return first, at
     return np.append(first, first[-1] + counts[-1]), np.append(at, at[-1] + last_s)
-
-
-def _rises(stamps: Floats) -> bool:
-    return bool((np.diff(stamps) > 0).all())
 
 
 def _fitted(index: Floats, at: Floats, samples: Floats) -> tuple[Floats, float]:

@@ -117,7 +117,7 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     found = [PoseColumn(kind="") if name == "_" else pose_column(name) for name in names]
     if not _is_of_poses(found, layout, file):
         return None
-    data, cut = parse_columns(file, layout, [_dtype(column) for column in found])
+    data, cut = parse_columns(file, layout, [{"": "", "name": "S80"}.get(column.kind, "f8") for column in found])
     poses, notes = _poses(found, data, units, file.name)
     _check(poses, file, layout)
     return Recording(imus={}, sources=(file.source,), assumptions=(*notes, *([cut] if cut else [])), poses=poses)
@@ -133,10 +133,6 @@ def _is_of_poses(columns: list[PoseColumn], layout: TextLayout, file: TextFile) 
 
 def _is_short(layout: TextLayout, file: TextFile) -> bool:
     return file.data.count(b"\n") - layout.first_line < _MOST_POSES
-
-
-def _dtype(column: PoseColumn) -> str:
-    return {"": "", "name": "S80"}.get(column.kind, "f8")
 
 
 def _poses(columns: list[PoseColumn], data: list[Column], units: Units, where: str) -> tuple[Poses, list[str]]:
