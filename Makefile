@@ -39,8 +39,8 @@ demo: install
 test: dev
 	$(BIN)/python $(TESTS) --quick
 
-test-all: test
-	$(BIN)/python $(TESTS) --costly
+test-all: dev
+	$(BIN)/python $(TESTS)
 	$(MAKE) --jobs 2 --output-sync check
 
 # Which tests are quick: by CPU time, as tests/tiers.py says. After large changes, on a machine that does nothing else.
