@@ -9,12 +9,12 @@ import sys
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 7  # of kernel.c, which `library` is written for
+_INTERFACE = 8  # of kernel.c, which `library` is written for
 
 
 _LOOPS = (
-    *("inertial_rows", "inertial_sums", "corner_sums", "add_spans", "gather_tied", "integrate_rates", "sums"),
-    *("running_sums", "lagged_products", "descend_corners", "fit_homography", "undo_png_filters", "join_columns"),
+    *("inertial_rows", "inertial_sums", "corner_sums", "add_spans", "gather_tied", "integrate_rates"),
+    *("allan_short", "allan_long", "descend_corners", "fit_homography", "undo_png_filters", "join_columns"),
 )
 
 

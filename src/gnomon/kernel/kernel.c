@@ -32,7 +32,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 7 /* changes whenever the arguments of a function do */
+#define INTERFACE 8 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -927,80 +927,75 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
     }
 }
 
-/* running sums for Allan variances (estimate/allan/deviation.py) */
+/* sums for Allan variances (estimate/allan/deviation.py) */
 
-/* The sums of three axes (n, 3) about given values, which lie among them. */
-CLONES EXPORT void gnomon_sums(int64_t n, const double *y, const double *about, double *sum) {
-    double lanes[12] = {0.0}, middle[12];
-    for (int j = 0; j < 12; j++) middle[j] = about[j % 3];
-    for (int64_t k = 0; k + 4 <= n; k += 4)
-        for (int j = 0; j < 12; j++) lanes[j] += y[3 * k + j] - middle[j];
-    for (int64_t k = n / 4 * 4; k < n; k++)
-        for (int i = 0; i < 3; i++) lanes[i] += y[3 * k + i] - middle[i];
-    for (int i = 0; i < 3; i++) sum[i] = lanes[i] + lanes[3 + i] + lanes[6 + i] + lanes[9 + i];
-}
+#define LANES 16      /* sums that are added up beside each other */
+#define STRETCH 16384 /* terms whose sums stay in the nearer memory for all averaging times */
 
-/* The running sums (3, n) of three axes (n, 3) about means, beyond what came before; the rows of x are `row` apart. */
-CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, const double *mean, const double *before,
-                                       int64_t row, double *x) {
-    double *const axes[3] = {x, x + row, x + 2 * row};
-    double sum[3] = {before[0], before[1], before[2]};
-    for (int64_t k = 0; k < n; k++)
-        for (int i = 0; i < 3; i++) axes[i][k] = sum[i] += y[3 * k + i] - mean[i];
-}
-
-#define LANES 16     /* sums that are added up beside each other */
-#define STRETCH 2048 /* of a running sum, which stays in the nearest memory for all lags */
-
-INLINE double product(int64_t n, const double *a, const double *b) {
-    double lanes[LANES] = {0.0}, sum = 0.0;
-    const int64_t whole = n - n % LANES;
+/* Squares of the differences of d with itself m places later, of `used` pairs; of all pairs, sums into `sum`. */
+INLINE double allan_level(int64_t used, int64_t pairs, int64_t m, const double *restrict d, double *restrict sum) {
+    const double *later = d + m;
+    double lanes[LANES] = {0.0}, squares = 0.0;
+    const int64_t whole = used - used % LANES;
     for (int64_t k = 0; k < whole; k += LANES)
-        for (int j = 0; j < LANES; j++) lanes[j] += a[k + j] * b[k + j];
-    for (int64_t k = whole; k < n; k++) lanes[0] += a[k] * b[k];
-    for (int j = 0; j < LANES; j++) sum += lanes[j];
-    return sum;
-}
-
-INLINE double total(int64_t n, const double *a) {
-    double lanes[LANES] = {0.0}, sum = 0.0;
-    const int64_t whole = n - n % LANES;
-    for (int64_t k = 0; k < whole; k += LANES)
-        for (int j = 0; j < LANES; j++) lanes[j] += a[k + j];
-    for (int64_t k = whole; k < n; k++) lanes[0] += a[k];
-    for (int j = 0; j < LANES; j++) sum += lanes[j];
-    return sum;
-}
-
-/* Products of a running sum x (n) with the values 1, 2, 4, ... places later (levels + 1), its square and its sum (2),
-   and what stands at its ends (8, levels). */
-CLONES EXPORT void gnomon_lagged_products(int64_t n, const double *x, int64_t levels, double *lagged, double *whole,
-                                          double *ends) {
-    static const int rows[2][4] = {{0, 1, 4, 6}, {3, 2, 5, 7}};
-    memset(lagged, 0, (levels + 1) * sizeof(double)), whole[0] = whole[1] = 0.0;
-    for (int64_t start = 0; start < n; start += STRETCH) {
-        const int64_t length = n - start < STRETCH ? n - start : STRETCH;
-        whole[0] += product(length, x + start, x + start), whole[1] += total(length, x + start);
-        for (int64_t k = 0; k <= levels; k++) {
-            const int64_t lag = (int64_t)1 << k, left = n - start - lag;
-            if (left > 0) lagged[k] += product(left < length ? left : length, x + start, x + start + lag);
+        for (int j = 0; j < LANES; j++) {
+            const double a = d[k + j], b = later[k + j], z = b - a;
+            lanes[j] += z * z, sum[k + j] = a + b;
         }
+    for (int64_t k = whole; k < used; k++) {
+        const double z = later[k] - d[k];
+        lanes[0] += z * z, sum[k] = d[k] + later[k];
     }
-    for (int last = 0; last < 2; last++) {
-        double sum = x[last ? n - 1 : 0], square = sum * sum;
-        for (int64_t k = 0; k < levels; k++) {
-            const int64_t m = (int64_t)1 << k;
-            const double *near = last ? x + n - m : x, *far = last ? near - m : x + m;
-            double both = 0.0, far_square = 0.0, far_sum = 0.0;
-            for (int64_t start = 0; start < m; start += STRETCH) {
-                const int64_t length = m - start < STRETCH ? m - start : STRETCH;
-                both += product(length, near + start, far + start);
-                far_square += product(length, far + start, far + start), far_sum += total(length, far + start);
-            }
-            const double found[4] = {square, far_square, both, sum - far_sum};
-            for (int i = 0; i < 4; i++) ends[rows[last][i] * levels + k] = found[i];
-            square += far_square, sum += far_sum;
-        }
+    for (int64_t k = used; k < pairs; k++) sum[k] = d[k] + later[k];
+    for (int j = 0; j < LANES; j++) squares += lanes[j];
+    return squares;
+}
+
+/* Adds up squares and their numbers for averaging times of m, 2 m, 4 m, ... places, of d (length), whose first `count`
+   places begin a term; `totals`, if any, sums of the differences. d and `spare` are overwritten. Returns the last d. */
+INLINE double *allan_levels(int64_t length, int64_t count, int64_t m, int64_t levels, double *d, double *spare,
+                            double *squares, double *terms, double *totals) {
+    for (int64_t level = 0; level < levels; level++, m *= 2) {
+        const int64_t pairs = length - m;
+        if (pairs <= 0) return NULL;
+        if (count > pairs) count = pairs;
+        if (totals)
+            for (int64_t k = 0; k < m; k++) totals[level] += d[pairs + k] - d[k];
+        squares[level] += allan_level(count, pairs, m, d, spare), terms[level] += count;
+        double *const sums = spare;
+        spare = d, d = sums, length = pairs;
+    }
+    return d;
+}
+
+/* Of samples (n), `step` apart, about `zero`, for averaging times of 1, 2, 4, ... samples; the first `count` begin a
+   term. line: their number times the samples, and the samples, summed up (2); last: the sums of 2^levels samples;
+   work: 2 (STRETCH + 2^levels). */
+CLONES EXPORT void gnomon_allan_short(int64_t n, const double *y, int64_t step, double zero, int64_t count,
+                                      int64_t levels, double *work, double *squares, double *terms, double *line,
+                                      double *last) {
+    const int64_t halo = (int64_t)1 << levels;
+    for (int64_t start = 0; start < count; start += STRETCH) {
+        const int64_t own = count - start < STRETCH ? count - start : STRETCH;
+        const int64_t length = n - start < own + halo ? n - start : own + halo, sums = length - halo + 1;
+        for (int64_t k = 0; k < length; k++) work[k] = y[(start + k) * step] - zero;
+        for (int64_t k = 0; k < own; k++) line[0] += (double)(start + k) * work[k], line[1] += work[k];
+        const double *d = allan_levels(length, own, 1, levels, work, work + STRETCH + halo, squares, terms, NULL);
+        if (d) memcpy(last + start, d, (own < sums ? own : sums) * sizeof(double));
+    }
+}
+
+/* Of sums of m samples (n), one after every sample, for averaging times of m, 2 m, 4 m, ... samples, `width` places of
+   the first m at once; work: 2 width (n / m + 1). */
+CLONES EXPORT void gnomon_allan_long(int64_t n, const double *d, int64_t m, int64_t width, int64_t levels, double *work,
+                                     double *squares, double *terms, double *totals) {
+    const int64_t rows = n / m, rest = n % m; /* the first places have a row more */
+    for (int64_t first = 0; first < m;) {
+        const int64_t stop = first < rest ? rest : m, columns = stop - first < width ? stop - first : width;
+        const int64_t height = first < rest ? rows + 1 : rows, length = height * columns;
+        for (int64_t r = 0; r < height; r++) memcpy(work + r * columns, d + r * m + first, columns * sizeof(double));
+        allan_levels(length, length, columns, levels, work, work + width * (rows + 1), squares, terms, totals);
+        first += columns;
     }
 }
 

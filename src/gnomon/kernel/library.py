@@ -1,8 +1,7 @@
 """The compiled loops, called through ctypes: only where `load_kernel` found them."""
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,8 @@ Singles = NDArray[np.float32]
 
 MOST_PIXELS = 512
 """Of the window of a corner (PIXELS in kernel.c)."""
+ALLAN_STRETCH = 16384
+"""Of terms at once (STRETCH in kernel.c)."""
 MOST_COLUMNS = 64
 """Of a corner (WIDTH in kernel.c)."""
 MOST_INERTIAL = 168
@@ -257,44 +258,43 @@ def integrate_segments(
     return rotation, sensitivity
 
 
-def running_sums(samples: Floats, run: Callable[..., Iterable[Any]] = map) -> Floats:
-    """Return the running sums (3, n + 1) of samples (n, 3) about their means; `run` may do both halves at once."""
-    library = load_kernel()
-    assert library is not None
-    n, half = len(samples), len(samples) // 2
-    found, totals = np.empty((3, n + 1)), np.empty((2, 3))
-    parts = samples[:half], samples[half:]
-    about = samples[0]
-    list(
-        run(
-            lambda part, total: library.gnomon_sums(_long(len(part)), _at(part), _at(about), _out(total)), parts, totals
-        )
-    )
-    mean = about + totals.sum(axis=0) / n
-    found[:, 0] = 0.0
-
-    def add_up(part: Floats, before: Floats, first: int) -> None:
-        place = ctypes.c_void_p(found.ctypes.data + found.itemsize * (first + 1))
-        library.gnomon_running_sums(_long(len(part)), *map(_at, (part, mean, before)), _long(n + 1), place)
-
-    list(run(add_up, parts, (np.zeros(3), totals[0] - half * (mean - about)), (0, half)))
-    return found
-
-
-def lagged_products(x: Floats, levels: int) -> tuple[Floats, Floats, Floats]:
-    """Return products of a running sum x (n,), and sums at its ends; see `_sums` of the Allan variance.
+def allan_short(values: Floats, zero: float, count: int, levels: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return sums of samples (n,) about a zero for 1, 2, 4, ... of them averaged; the first `count` begin a term.
 
     Returns
     -------
-    (levels + 1,) with the values 1, 2, 4, ... places later, (2,) its square and its sum, (8, levels) of the ends
+    (levels,) sums of z_m^2 and their numbers, (2,) of the samples times their numbers and of the samples, and the sums
+    of 2^levels samples
     """
     library = load_kernel()
     assert library is not None
-    lagged, whole, ends = np.empty(levels + 1), np.empty(2), np.empty((8, levels))
-    library.gnomon_lagged_products(
-        *(_long(len(x)), _at(x), _long(levels), _out(lagged), _out(whole), _out(ends)),
+    squares, terms, line = np.zeros(levels), np.zeros(levels), np.zeros(2)
+    last = np.empty(max(min(count, len(values) - (1 << levels) + 1), 0))
+    work = np.empty(2 * (ALLAN_STRETCH + (1 << levels)))
+    library.gnomon_allan_short(
+        *(_long(len(values)), ctypes.c_void_p(values.ctypes.data), _long(values.strides[0] // values.itemsize)),
+        *(ctypes.c_double(zero), _long(count), _long(levels), *map(_out, (work, squares, terms, line, last))),
     )
-    return lagged, whole, ends
+    return squares, terms, line, last
+
+
+def allan_long(sums: Floats, m: int, levels: int) -> tuple[Floats, Floats, Floats]:
+    """Return sums for m, 2 m, 4 m, ... samples averaged from sums (n,) of m samples.
+
+    Returns
+    -------
+    (levels,) sums of z_m^2, their numbers, and sums of z_m
+    """
+    library = load_kernel()
+    assert library is not None
+    rows = len(sums) // m + 1
+    width = min(m, max(2 * ALLAN_STRETCH // rows, 8))
+    squares, terms, totals = np.zeros((3, levels))
+    library.gnomon_allan_long(
+        *(_long(len(sums)), _at(sums), _long(m), _long(width), _long(levels), _out(np.empty(2 * width * rows))),
+        *map(_out, (squares, terms, totals)),
+    )
+    return squares, terms, totals
 
 
 def descend_corners(

@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.estimate.allan import deviation as allan
-from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan, product_sums
+from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan
 from gnomon.estimate.allan.fit import AllanFit
 from gnomon.estimate.allan.model import KINDS, allan_design, estimate_covariance, line_effect
 from gnomon.recording import Recording
@@ -90,24 +90,6 @@ def test_noise_that_is_small_against_its_drift_keeps_its_digits():
     found = overlapping_allan(values, 1.0)
     expected = [[by_definition(axis, m) for axis in values.T] for m in found.factors]
     np.testing.assert_allclose(found.variance, expected, rtol=1e-5)
-
-
-@pytest.mark.parametrize("drift", [0.0, 1e4])
-def test_products_of_the_running_sum_serve_where_rounding_lets_them(drift):
-    rng = np.random.default_rng(8)
-    n = 300_000
-    values = rng.normal(size=(n, 3)) * [1, 2, 3] + [5, -3, 1e4] + drift * np.sin(np.arange(n) / 5e4)[:, None]
-    worst = max(axis.rounding for axis in product_sums(values, 17))
-    assert (worst < 1e-7) == (drift == 0)
-    found = overlapping_allan(values, 1.0)
-    by_blocks = AllanSums()
-    by_blocks.add(values)
-    expected = by_blocks.variance(1.0)
-    np.testing.assert_allclose(found.variance, expected.variance, rtol=1e-6)
-    np.testing.assert_allclose(found.straight, expected.straight, rtol=1e-6)
-    np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-6)
-    for level, m in ((0, 1), (9, 512), (16, 65536)):
-        assert abs(found.variance[level, 1] / by_definition(values[:, 1], m) - 1) < 1e-7
 
 
 def test_a_line_is_taken_out():

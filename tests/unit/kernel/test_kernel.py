@@ -15,7 +15,7 @@ from camera_imu_problem import problem
 from gnomon import kernel
 from gnomon.detect.boards.tag_places import fit_homography, map_points
 from gnomon.detect.corners.corner_fit import fit_corners
-from gnomon.estimate.allan.deviation import product_sums
+from gnomon.estimate.allan.deviation import overlapping_allan
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts
 from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
@@ -128,15 +128,18 @@ def test_corners_of_every_lens_are_summed_up_as_by_numpy(projection, distortion,
 
 
 @compiled
-def test_running_sums_are_those_of_numpy(monkeypatch):
-    samples = np.random.default_rng(5).normal([1.0, -20.0, 0.0], 0.1, (3000, 3))
-    monkeypatch.delenv("GNOMON_KERNEL", raising=False)
-    fast = product_sums(samples, 9)
-    monkeypatch.setenv("GNOMON_KERNEL", "0")
-    for one, plain in zip(fast, product_sums(samples, 9), strict=True):
-        np.testing.assert_allclose(one.means, plain.means, rtol=1e-12)
-        np.testing.assert_allclose(one.totals, plain.totals, rtol=1e-12, atol=1e-13)
-        assert one.slope == pytest.approx(plain.slope, rel=1e-12)
+@pytest.mark.parametrize("samples", [9, 5000, 40_000, 300_001])
+def test_allan_variances_are_those_of_numpy(samples, monkeypatch):
+    rng = np.random.default_rng(5)
+    values = np.cumsum(rng.normal(0.0, 1e-2, (samples, 3)), axis=0) + rng.normal([1.0, -20.0, 0.0], 0.1, (samples, 3))
+    found = []
+    for switch in ("1", "0"):
+        monkeypatch.setenv("GNOMON_KERNEL", switch)
+        found.append(overlapping_allan(values, 100.0))
+    fast, plain = found
+    np.testing.assert_allclose(fast.variance, plain.variance, rtol=1e-12)
+    np.testing.assert_allclose(fast.straight, plain.straight, rtol=1e-9)
+    np.testing.assert_allclose(fast.slope, plain.slope, rtol=1e-9)
 
 
 @compiled
