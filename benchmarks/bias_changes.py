@@ -3,7 +3,7 @@
     python benchmarks/bias_changes.py --faulty 300 --healthy 200
 
 A recording that passes must name every rest that it does not use, and its biases must be within 4 sigma of what they
-state to be: of the last part where a bias stepped; else the mean over the recording, or of the rests where none is seen.
+state to be: of the last part where a bias stepped; else the mean over the recording, or of the rests if none is seen.
 """
 
 import argparse
