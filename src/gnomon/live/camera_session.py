@@ -211,8 +211,9 @@ class CameraSession:
         if wanting is None and self._state.phase == "together" and together:
             wanting, self._joint_tried = "", len(self._together)
         if self._tried is None and wanting is not None:
-            self._begin_trial([self.coaches[wanting]] if wanting else list(self.coaches.values()))
-            self._tried = wanting
+            with suppress(OSError):  # no memory for a process: later, perhaps
+                self._begin_trial([self.coaches[wanting]] if wanting else list(self.coaches.values()))
+                self._tried = wanting
 
     def _begin_trial(self, coaches: list[BoardCoach]) -> None:
         cameras = dict[str, CameraFrames]()

@@ -1,6 +1,7 @@
 """A guided capture of a camera with an IMU: both are recorded, and both are looked at together."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -214,7 +215,8 @@ class RigSession(CameraSession):
 
     def begin_recording(self) -> None:
         """Begin to receive both, each in a thread of its own."""
-        self._ready_trials()  # ready when the motion begins to tell something
+        with suppress(OSError):  # it records without checks, too
+            self._ready_trials()  # ready when the motion begins to tell something
         self.samples.begin_recording()
         super().begin_recording()
 

@@ -12,9 +12,9 @@ import numpy as np
 from ..frozen import field_names, value_class
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
-from ..models.board_pattern import DIAGONAL, FULL, LOWER
 from ..models.camera import Camera
 from ..models.gravity import EARTH_RATE_RAD_S
+from ..models.matrix_pattern import DIAGONAL, FULL, LOWER
 from ..models.noise import ImuNoise
 from ..models.target import Target
 from ..results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration

@@ -2,7 +2,7 @@
 
 simulate the signals of section 4.1 -> gnomon's recipe, Algorithm 1 as printed, the authors' script -> metrics 1 to 4
 
-What Tedaldi 2014 found (Tables 4.1 to 4.5, set 1 and means over 40 sets), and whether a study of gnomon agrees.
+The claims are what Tedaldi 2014 found (Tables 4.1 to 4.5, set 1 and means over 40 sets).
 """
 
 from collections.abc import Iterator

@@ -27,8 +27,8 @@ from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialDa
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
-from ...models.board_pattern import LOWER
 from ...models.forms import KrebsAccelerometer, KrebsGyroscope
+from ...models.matrix_pattern import LOWER
 from ...models.noise import CONSUMER_MEMS
 from ...models.target import Target
 from ...options import CameraImuOptions

@@ -4,7 +4,7 @@
 
 `gauss_newton` goes down from them, `noise_found` tells the noise levels from them.
 
-How strongly the biases wander, by the variance component of their random walk.
+Of these, how strongly the biases wander follows from the variance component of their random walk.
 
 The steps of a walk from knot to knot are terms of the cost like readings. Those of level sigma = 1 have
 sigma^2 = chi^2 / (number of steps - trace of their part of the hat matrix). Only slow wandering shows in a recording, a

@@ -6,9 +6,9 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.rotation_vector import tangent_basis
-from ...models.board_pattern import DIAGONAL, LOWER
 from ...models.camera import Camera
 from ...models.frames import Origin
+from ...models.matrix_pattern import DIAGONAL, LOWER
 from ...recording import Floats, KnownRig
 from .terms.board_terms import BoardPoints
 

@@ -1,6 +1,6 @@
 """From a recording and its static intervals to the multi-position problem.
 
-Where axes began to be along others, or the gyroscope to show another share of a rotation, half-way in a recording.
+And where, half-way in a recording, axes began to be along others, or the gyroscope to show another share of a rotation.
 
 Each rotation between two rests should lead gravity from where it was read before to where it is read after. Which way
 the gyroscope's axes stand to the accelerometer's, and how much of a rotation it shows, is tried for all rotations;

@@ -3,7 +3,7 @@
 Three published forms differ in details that matter (see docs/theory): the thesis as printed (Algorithm 1), the authors'
 MATLAB script behind Table 4.8, and the C++ program imu_tk.
 
-A triad from the known magnitude of what it measures (Tedaldi 2014, section 3.2; Angrisano, Eqs. 8-11).
+Both begin with a triad from the known magnitude of what it measures (Tedaldi 2014, section 3.2; Angrisano, Eqs. 8-11).
 
 The sensor measures m = S f + b, and |f| is known. In a body frame that the triad's own axes define, S is triangular and
 the correction f = C (m - b), C = inv(S), has nine unknowns.

@@ -6,7 +6,7 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.rotation_vector import skew
-from ....models.board_pattern import DIAGONAL, FULL, LOWER
+from ....models.matrix_pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ....results.parameters import covariance_names

@@ -23,7 +23,7 @@ from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
 from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
 from ....kernel import library
-from ....models.board_pattern import DIAGONAL, FULL, LOWER
+from ....models.matrix_pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
 from ..parameters import RigParameters
