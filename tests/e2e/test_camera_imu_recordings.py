@@ -11,14 +11,13 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from gnomon.models.matrix_pattern import LOWER
-
 import gnomon
 from camera_imu_rig import KALIBRS_WEIGHTS, Rig, rms
 from camera_imu_truth import errors
 from gnomon import CameraImuOptions, calibrate_camera_imu
 from gnomon.calibrate.comparison import compare
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.models.matrix_pattern import LOWER
 
 A, B, D = (
     f"rendered-camimu/{name}" for name in ("a-aprilgrid-full", "b-aprilgrid-ideal-imu", "d-checkerboard-ideal-imu")

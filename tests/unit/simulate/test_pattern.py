@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from gnomon.models.matrix_pattern import DIAGONAL, FULL, LOWER
 
 PATTERNS = {"diagonal": DIAGONAL, "lower": LOWER, "full": FULL}
