@@ -96,6 +96,11 @@ def test_a_rig_that_never_turned_is_refused():
         mapped(replace(SMALL, motion="translation", duration_s=4.0))
 
 
+def test_a_rig_that_hardly_moved_is_refused():
+    with pytest.raises(InitialisationError, match="hardly moved from its place"):
+        mapped(replace(SMALL, motion="slow", duration_s=4.0))
+
+
 def test_too_few_landmarks_are_refused(monkeypatch):
     monkeypatch.setattr(landmark_map, "_chosen_sightings", lambda _: np.arange(3))
     with pytest.raises(DetectionError, match="only 3 landmarks"):

@@ -41,6 +41,7 @@ _FEWEST_KEYS = 4  # key frames that see a point of the map
 _TURN_S = (0.1, 0.4, 0.8)  # lengths of the turns that correct the gyroscope
 _STILL_PX = 1.5  # a point moves over the longest of these, median of all
 _PARALLAX_RAD = 0.02  # a point is seen from as different sides, at least, by the upper tenth of the points
+_NEAREST_M = 0.02  # nearer than any scene: its size is that of the accelerometer's noise
 _OFF_RAD = 0.05  # sightings that contradict the first scene
 _RAY_PX = 1.5
 _OFF = 4.0  # sigmas of sightings that are left out
@@ -58,6 +59,12 @@ _UNSETTLED = (
     "moved, or turned about one axis only: shake it along all of its axes and turn it about all of them. Or the scene "
     "does not serve: it should stand still, one to three metres away, with plenty of edges and patterns that do not "
     "repeat themselves, in light that lets images be sharp."
+)
+
+
+_STAYED = (
+    "{name}: it hardly moved from its place, so that nothing tells how far away anything is, nor how large. Shake the "
+    "rig along all of its axes, by a hand's breadth or two, and turn it about all of them."
 )
 
 
@@ -301,6 +308,8 @@ def _motion(name: str, tracks: PointTracks, camera: Camera, t_s: Floats, stream:
     ends = np.array(pairs)[neighbours:][known[neighbours:]]
     start, stop = at_s[ends].T
     both = (start >= stream.t_s[0]) & (stop <= stream.t_s[-1])
+    if not both.any():
+        raise InitialisationError(_STAYED.format(name=name))
     R_imu = alignment.R_cam_imu.T @ np.swapaxes(R[neighbours:][known[neighbours:]], 1, 2) @ alignment.R_cam_imu
     turns = SeenTurns(start_s=start[both], stop_s=stop[both], R=R_imu[both])
     inside = np.flatnonzero((at_s > stream.t_s[0]) & (at_s < stream.t_s[-1]))
@@ -333,18 +342,20 @@ def _first_scene(name: str, tracks: PointTracks, camera: Camera, motion: _Motion
     np.add.at(toward, point, rays)
     spread = np.sqrt(np.maximum(1 - np.linalg.norm(toward, axis=1) / np.bincount(point), 0.0))
     if float(np.quantile(spread, 0.9)) < _PARALLAX_RAD:
-        raise InitialisationError(
-            f"{name}: it turned, but hardly moved from its place, so that nothing tells how far away anything is, nor "
-            "how large. Shake the rig along all of its axes as well, by a hand's breadth or two."
-        )
+        raise InitialisationError(_STAYED.format(name=name))
     centre = path.position + R_imu @ path.arm
     R = np.swapaxes(R_world_cam, 1, 2)
     scene = _Scene(
         R=R, p=-np.einsum("kij,kj->ki", R, centre), points=path.points, key=key, point=point, pixels=tracks.pixels
     )
     scene = _adjusted(camera, scene.where(path.angle < _OFF_RAD))
+    if not len(scene.point):
+        raise InitialisationError(_STAYED.format(name=name))
     found = -np.einsum("kji,kj->ki", scene.R, scene.p)  # the adjustment leaves the size open
     size = float(np.linalg.norm(centre - centre.mean(axis=0)) / np.linalg.norm(found - found.mean(axis=0)))
+    away_m = size * np.linalg.norm(scene.points[scene.point] - found[scene.key], axis=1)
+    if float(np.median(away_m)) < _NEAREST_M:
+        raise InitialisationError(_STAYED.format(name=name))
     return replace(scene, p=size * scene.p, points=size * scene.points), at
 
 

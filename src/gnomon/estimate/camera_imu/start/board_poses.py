@@ -8,6 +8,7 @@ The acceleration that a camera's positions tell, and an IMU's readings averaged 
 A second difference of positions is the acceleration averaged with a triangular window of two steps.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -272,9 +273,10 @@ def resection_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Float
         if len(rows) < FEWEST_CORNERS:
             continue
         plane = rays[rows, :2] / rays[rows, 2:]
-        found, turn, place = cv2.solvePnP(exposures.points[rows], plane, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
-        if found:
-            R[k], p[k] = rotation_from_rotvec(np.asarray(turn, np.float64).ravel()), place.ravel()
+        with suppress(cv2.error):  # of points that lie together: the camera hardly moved, and its scene has no size
+            found, turn, place = cv2.solvePnP(exposures.points[rows], plane, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+            if found:
+                R[k], p[k] = rotation_from_rotvec(np.asarray(turn, np.float64).ravel()), place.ravel()
     return R, p
 
 
