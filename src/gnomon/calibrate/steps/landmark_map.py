@@ -29,7 +29,7 @@ from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...processes import results_ahead
-from ...progress import Progress, Step
+from ...progress import Progress, Step, tell_parts
 from ...recording import CameraFrames, Floats, ImuSamples, Integers
 from ...recording.frames import Frame, Grey, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
@@ -361,7 +361,7 @@ def _first_scene(name: str, tracks: PointTracks, camera: Camera, motion: _Motion
 
 def _adjusted(camera: Camera, scene: _Scene) -> _Scene:
     """Return the scene after bundle adjustment, without sightings that contradict it, and points whose mean does."""
-    for _ in range(_PRUNED):
+    for _ in tell_parts("adjusting where the camera went", range(_PRUNED), _PRUNED):
         if not len(scene.key):
             break
         found = adjust_bundle(camera, (scene.key, scene.point, scene.pixels), scene.R, scene.p, scene.points)
@@ -419,6 +419,7 @@ def _found_again(
 ) -> PointTracks:
     """Return where landmarks are in images `at` (k,), with about these poses."""
     pictures = zip(_decoded(images, camera, set(at.tolist())), *poses, strict=True)
+    pictures = tell_parts("finding the landmarks in images", pictures, len(at))
     near = reach_px <= _NEAR_PX
     found = [(np.empty(0, np.int64), np.empty((0, 2)))]
     found += results_ahead(lambda one: landmarks.find(one[0], camera, *one[1:], reach_px=reach_px, near=near), pictures)

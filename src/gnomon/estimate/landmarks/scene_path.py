@@ -23,6 +23,7 @@ from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ...processes import results_ahead
+from ...progress import tell_parts
 from ...recording import Floats, Integers
 from ..camera_imu.start.alignment import gyroscope_integral
 from ..camera_imu.start.board_poses import BoardPoses
@@ -208,7 +209,7 @@ def find_scene_path(
     depth, weight = np.full(len(frame), _USUAL_M), np.ones(len(frame))
     angle = np.zeros(len(frame))
     width = 3 * keys + 3
-    for _ in range(_ROUNDS):
+    for _ in tell_parts("finding where the camera went", range(_ROUNDS), _ROUNDS):
         blocks = across * (weight / (depth * _RAY_RAD) ** 2)[:, None, None]
         of_point, of_frame = np.zeros((count, 3, 3)), np.zeros((keys, 3, 3))
         np.add.at(of_point, point, blocks)
