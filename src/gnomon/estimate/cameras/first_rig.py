@@ -246,18 +246,7 @@ def at_poses(views: RigViews, rig: CameraRig) -> dict[str, SeenCorners]:
     }
     rig, _ = settle_poses(corners, views.target, rig, noise=noise)
     at = accumulate_normal_equations(corners, views.target, rig, layout, noise)
-    return {
-        seen.name: SeenCorners(
-            view=seen.of_corner,
-            frame=seen.exposures.frame[seen.exposures.of_corner],
-            point=seen.point,
-            pixels=seen.exposures.pixels,
-            residual=sums.residual,
-            weight=sums.weight,
-            spread=np.ones(len(seen.point)),
-        )
-        for seen, sums in zip(corners, at.sums, strict=True)
-    }
+    return {seen.name: seen.with_residuals(sums, 1.0) for seen, sums in zip(corners, at.sums, strict=True)}
 
 
 def merge_corners(parts: list[SeenCorners]) -> SeenCorners:

@@ -17,7 +17,7 @@ from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 from ...results.camera_diagnostics import SolverStep
 from ..camera_imu.start.board_poses import gather_exposures
-from ..camera_imu.terms.corner_sums import Exposures
+from ..camera_imu.terms.corner_sums import CornerSums, Exposures
 from ..trust.clusters import ClusterSums
 
 _APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras
@@ -170,6 +170,18 @@ class CameraCorners:
     def of_corner(self) -> Integers:
         """View of each corner, (m,)."""
         return self.view[self.exposures.of_corner]
+
+    def with_residuals(self, sums: CornerSums, spread: Floats | float) -> SeenCorners:
+        """Return the corners (m,) with their residuals of some sums, and their `spread`, (m,) or one for all."""
+        return SeenCorners(
+            view=self.of_corner,
+            frame=self.exposures.frame[self.exposures.of_corner],
+            point=self.point,
+            pixels=self.exposures.pixels,
+            residual=sums.residual,
+            weight=sums.weight,
+            spread=np.broadcast_to(spread, len(self.point)),
+        )
 
     def only(self, chosen: Booleans) -> "CameraCorners":
         """Return the corners of some exposures, (e,)."""

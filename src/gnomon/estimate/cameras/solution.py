@@ -17,7 +17,7 @@ from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
 from .normal import ReducedEquations, ViewNormalEquations, eliminate_poses, view_sums
 from .problem import Problem
-from .rig import CameraCorners, CameraRig, RigSolution, RigViews, SeenCorners
+from .rig import CameraRig, RigSolution, RigViews, SeenCorners
 
 _AT_REST = 3e-3  # sigmas of a shared parameter
 _NEARLY = 0.3  # the same, for a round whose weights are not final yet
@@ -241,20 +241,8 @@ def _solution(state: _State) -> RigSolution:
 
 def seen_corners(problem: Problem, at: ViewNormalEquations, views: RigViews) -> dict[str, SeenCorners]:
     """Return the corners that take part, with their residuals."""
-    return {seen.name: _seen(seen, at, k) for k, seen in enumerate(problem.corners)} if len(views) else {}
-
-
-def _seen(seen: CameraCorners, at: ViewNormalEquations, number: int) -> SeenCorners:
-    sums = at.sums[number]
-    return SeenCorners(
-        view=seen.of_corner,
-        frame=seen.exposures.frame[seen.exposures.of_corner],
-        point=seen.point,
-        pixels=seen.exposures.pixels,
-        residual=sums.residual,
-        weight=sums.weight,
-        spread=np.broadcast_to(sums.spread, len(seen.point)),
-    )
+    seen = zip(problem.corners, at.sums, strict=True) if len(views) else ()
+    return {corners.name: corners.with_residuals(sums, sums.spread) for corners, sums in seen}
 
 
 def _inverse(matrix: Floats) -> Floats:

@@ -66,6 +66,7 @@ class _Score(NamedTuple):
     ratios: Floats
 
     def misfit(self, found: Uncertainty, probe: int, size: float, variance: float) -> TriadMisfit:
+        """Return the probe's size [s^2 of x'', 1 of |x|] and variance as what is wrong with its triad."""
         triad, axis = divmod(probe, _PROBES)
         return TriadMisfit(
             imu=triad // 2,
