@@ -84,7 +84,7 @@ class BoardState:
     @property
     def known(self) -> str:
         """How much is there, in a few words."""
-        return f"{self.views} view{'s' * (self.views != 1)}, corners in {np.mean(self.cells > 0):.0%} of the image"
+        return f", {self.views} view{'s' * (self.views != 1)}, corners in {np.mean(self.cells > 0):.0%} of the image"
 
     def document(self) -> dict[str, Any]:
         """Return it for the page."""

@@ -82,6 +82,7 @@ class CameraSession:
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
+        self._arrived_s = time.monotonic()
         self._thread.start()
 
     def end_recording(self) -> None:

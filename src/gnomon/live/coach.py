@@ -6,6 +6,7 @@ samples -> still or moving -> after each rest: what the rests would tell -> one 
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,7 @@ class CoachState:
     still_s : how long it rests by now
     up : (3,) where up is in the sensor now, None as long as nothing is known
     prospect : what the rests would tell
+    counts : what is counted: rests, or directions of a field; "" where nothing is
     faults : what is wrong now
     seconds, rate_hz : of the recording
     confirmed : whether a calibration of the recording so far serves the use
@@ -68,6 +70,7 @@ class CoachState:
     still_s: float = 0.0
     up: Floats | None = None
     prospect: Prospect = field(default_factory=Prospect)
+    counts: str = "rest"
     faults: tuple[Fault, ...] = ()
     seconds: float = 0.0
     rate_hz: float = 0.0
@@ -83,7 +86,9 @@ class CoachState:
         """How much is known, in a few words."""
         rests = len(self.prospect.up)
         worst = max((need.sigma / need.needed for need in self.prospect.needs), default=None)
-        return f"{rests} rest{'s' * (rests != 1)}" + ("" if worst is None else f", sigma {worst:.2g} of what is needed")
+        return f", {rests} {self.counts}{'s' * (rests != 1)}" * bool(self.counts) + (
+            "" if worst is None else f", sigma {worst:.2g} of what is needed"
+        )
 
     def document(self) -> dict[str, Any]:
         """Return it for the page."""
@@ -95,6 +100,7 @@ class CoachState:
             "hold_s": FIRST_REST_S if self.phase == "first rest" else _HOLD_S,
             "up": None if self.up is None else np.round(self.up, 3).tolist(),
             "target": None if target is None else np.round(target, 3).tolist(),
+            "counts": self.counts,
             "rests": np.round(self.prospect.up, 3).tolist(),
             "bars": [[need.block, round(need.sigma / need.needed, 3)] for need in self.prospect.needs],
             "faults": [[fault.code, fault.text] for fault in self.faults],
@@ -113,8 +119,8 @@ class Coach:
     stated : units, as far as they are
     """
 
-    leading = "accelerometer"
-    """The triad that tells motion from rest."""
+    counts, leading = "rest", "accelerometer"
+    """What is counted, and the triad that tells motion from rest."""
     unwanted = "magnetometer"
     """The stream that is not recorded: of a folder, gnomon's commands read two files."""
     remembered = 500_000
@@ -133,7 +139,7 @@ class Coach:
         self._factors: dict[str, float] = {}
         self._not_yet, self._tried = "", 0
         self._rested_s, self._cost_s = 0.0, 0.0
-        self.state = CoachState()
+        self.state = CoachState(counts=self.counts)
 
     def add_samples(self, blocks: Mapping[str, TriadSamples], named: Mapping[str, str | None]) -> None:
         """Take the next samples of the triads, and the units that the lines name."""
@@ -268,15 +274,15 @@ class Coach:
         if rests <= 1 and state.seconds < FIRST_REST_S + 2 and still_s > 0:
             left = FIRST_REST_S - still_s
             if left > 0:
-                return {"phase": "first rest", "advice": f"Let it lie still on the table for {left:.0f} s more."}
+                return {"phase": "first rest", "advice": f"Let it lie still on the table for {ceil(left)} s more."}
         if still_s > 0 and still_s < _HOLD_S:
-            return {"phase": "hold", "advice": f"Hold still, {_HOLD_S - still_s:.0f} s more."}
+            return {"phase": "hold", "advice": f"Hold still, {ceil(_HOLD_S - still_s)} s more."}
         self._shaky = self._shaky + 1 if still_s == 0 and spread < _SHAKY else 0
         if self._shaky > 2:
             return {"phase": "shaking", "advice": "It shakes: put it down or lean it against something, and let go."}
         more = _FEWEST_RESTS - rests
         met = state.prospect.needs and _met(state.prospect.needs)
-        why = f"{more} more rests show that it is true" if met and more > 0 else "any new attitude counts"
+        why = f"{more} more rest{'s' * (more > 1)} to be sure" if met and more > 0 else "any new attitude counts"
         return {"phase": "turn", "advice": f"Put it {words_of_attitude(state.prospect.target)}; {why}."}
 
 

@@ -11,14 +11,12 @@ from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 
 _SLOW_HZ = 80.0
 _FEWEST, _WHOLE = 20, 0.05
-_GAP = 3.5  # periods
+_GAP, _IN_BURSTS = 3.5, 0.1  # periods; share of the steps that are as long
 _REPEATED = 0.3
 _CLIPPED = 3
 _FAST_RAD = 0.12  # between two samples; a rate of 6 rad/s at 50 Hz
-_COARSE_M_S2, _COARSE_RAD_S = (
-    0.03,
-    1.4e-3,
-)  # of Chromium 0.1 and 0.0017; of 16 bits at +-16 g and +-2000 deg/s 0.005, 0.001
+_COARSE_M_S2, _COARSE_RAD_S = 0.03, 1.4e-3
+"""Chromium rounds to 0.1 and 0.0017; 16 bits at +-16 g and +-2000 deg/s to 0.005 and 0.001."""
 _PLAUSIBLE, _POSSIBLE = (0.7, 1.3), (0.5, 2.0)  # gravity at rest, and in motion
 
 
@@ -73,10 +71,8 @@ def faults_of(recent: ImuSamples, rate_unit: float | None, *, still: bool) -> It
                 "Let the device send the acceleration with gravity.",
             )
         elif found > most:
-            yield Fault(
-                code="not-gravity",
-                text=f"The accelerometer shows {found:.2f} g: its unit is another one. State it with --units.",
-            )
+            text = f"The accelerometer shows {found:.2f} g: its unit is another one. State it with --units."
+            yield Fault(code="not-gravity", text=text)
 
 
 def _size(values: Floats) -> Floats:
@@ -87,24 +83,21 @@ def _of_stamps(samples: TriadSamples, name: str) -> Iterator[Fault]:
     steps = np.diff(samples.t_ns)
     period = float(np.median(steps))
     if (steps < 0).any():
-        yield Fault(
-            code="clock-back",
-            text="The device's clock went back: it was restarted. Stop, and begin a new recording.",
-        )
+        text = "The device's clock went back: it was restarted. Stop, and begin a new recording."
+        yield Fault(code="clock-back", text=text)
         return
     if period > 0 and name == "accelerometer":
-        lost = int(np.rint(steps[steps > _GAP * period] / period - 1).sum())
-        if lost:
-            yield Fault(
-                code="dropped",
-                text=f"{lost} samples were lost in the last seconds: use a shorter cable, a higher baud rate, or a "
-                "lower sample rate.",
-            )
+        late = steps > _GAP * period
+        lost = int(np.rint(steps[late] / period - 1).sum())
+        if late.mean() > _IN_BURSTS:
+            text = "Timestamps come in bursts: they tell when samples arrived. Let the device timestamp each itself."
+            yield Fault(code="bursts", text=text)
+        elif lost:
+            cure = "use a shorter cable, a higher baud rate, or a lower sample rate."
+            yield Fault(code="dropped", text=f"{lost} samples were lost in the last seconds: {cure}")
         if 1e9 / period < _SLOW_HZ:
-            yield Fault(
-                code="throttled",
-                text=f"Only {1e9 / period:.0f} samples a second arrive: let the device send 100 or more.",
-            )
+            text = f"Only {1e9 / period:.0f} samples a second arrive: let the device send 100 or more."
+            yield Fault(code="throttled", text=text)
 
 
 def _of_values(samples: TriadSamples, name: str) -> Iterator[Fault]:

@@ -20,7 +20,7 @@ _MOVED_S = 5.0
 class MagnetometerCoach(Coach):
     """Asks for the directions of the field in the sensor that were not seen yet."""
 
-    leading, unwanted = "magnetometer", "gyroscope"
+    counts, leading, unwanted = "direction", "magnetometer", "gyroscope"
 
     def _is_due(self, seconds: float, still_s: float) -> bool:
         return seconds - self._rested_s >= 1.0
@@ -64,7 +64,7 @@ class MagnetometerCoach(Coach):
 class NoiseCoach(Coach):
     """Watches a sensor that is to be left alone, and says when somebody touched it."""
 
-    remembered = 20_000
+    counts, remembered = "", 20_000
     _touched_s = 0.0
 
     def _is_due(self, seconds: float, still_s: float) -> bool:
@@ -84,7 +84,5 @@ class NoiseCoach(Coach):
         if left <= 0:
             self.state = replace(self.state, confirmed=True)
             return {"phase": "enough", "advice": "Enough: it lay still for three hours. Stop, or go on for more."}
-        touched = (
-            f" It was touched at {self._touched_s:.0f} s; three hours count from there." if self._touched_s else ""
-        )
-        return {"phase": "hold", "advice": f"Leave it alone for {left / 60:.0f} min more.{touched}"}
+        why = f" It was touched at {self._touched_s:.0f} s; three hours count from there." if self._touched_s else ""
+        return {"phase": "hold", "advice": f"Leave it alone for {left / 60:.0f} min more.{why}"}

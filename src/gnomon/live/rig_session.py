@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +164,7 @@ class RigCoach(BoardCoach):
             return {"phase": "roll", "advice": _ROLL}
         if needs["length"] < 1:
             left = _SHORTEST_S - self._seconds
-            return {"phase": "more", "advice": f"Go on turning and shaking in front of the board, {left:.0f} s more."}
+            return {"phase": "more", "advice": f"Go on turning and shaking in front of the board, {ceil(left)} s more."}
         return {"phase": "trying", "advice": self._not_yet or "Go on: a calibration is tried meanwhile."}
 
 

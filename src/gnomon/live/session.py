@@ -82,6 +82,7 @@ class LiveSession:
 
     def begin_recording(self) -> None:
         """Begin to receive, in a thread of its own."""
+        self._arrived_s = self._clock()
         self._thread.start()
 
     def end_recording(self) -> None:
@@ -174,13 +175,8 @@ class LiveSession:
             found.append(Fault(code="silence", text="Nothing arrives: is the device sending? Check cable and rate."))
         written, damaged = (self._counts[-1][k] - self._counts[0][k] for k in (0, 1))
         if damaged > _DAMAGED * (written + damaged):
-            found.append(
-                Fault(
-                    code="damaged",
-                    text=f"{damaged} of {written + damaged} lines are damaged: most likely the baud rate is another "
-                    "one (serial:PORT@BAUD), or the cable is bad.",
-                )
-            )
+            why = "most likely the baud rate is another one (serial:PORT@BAUD), or the cable is bad."
+            found.append(Fault(code="damaged", text=f"{damaged} of {written + damaged} lines are damaged: {why}"))
         return found
 
     def document(self) -> dict[str, Any]:

@@ -140,6 +140,7 @@ class Pace:
         """Wait until a stamp is due, and return whether it was stopped meanwhile."""
         self._began_s = self._began_s or time.monotonic()
         ahead_s = (t_ns - self.begin_ns) * 1e-9 / self._speed - (time.monotonic() - self._began_s)
+        self._began_s -= min(0.0, ahead_s + _WAIT_S)  # the other streams wait for one that is not ready in time
         return (ahead_s > 0.01 and stop.wait(ahead_s)) or stop.is_set()
 
 

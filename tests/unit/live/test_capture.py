@@ -146,6 +146,8 @@ def planted(name, hand):
             v[:3] = [x + 0.1 * np.sin(k / 5 + j) for j, x in enumerate(v[:3])]
         if name == "clock-back" and late:
             t -= 3e6
+        if name == "bursts" and late:
+            t -= k % 4 * 4500  # four samples within 2 ms, and none for 18 ms
         if name == "damaged" and late and k % 2:
             yield b"\x80\x01\xff\x00garbage"
             continue
@@ -157,7 +159,7 @@ def planted(name, hand):
     "name",
     [
         "dropped", "throttled", "saturated", "no-gravity", "rounded", "silent", "repeated", "too-fast", "clock-back",
-        "damaged",
+        "damaged", "bursts",
     ],
 )  # fmt: skip
 def test_faults_are_named_within_three_seconds(tmp_path, name):
@@ -266,6 +268,7 @@ def test_a_magnetometer_is_turned_until_all_directions_were_seen(tmp_path):
             assert not state.faults
     session.end_recording()
     assert len(state.prospect.up) > 20
+    assert state.known == f", {len(state.prospect.up)} directions"
     assert any(target is not None for target in targets)
     assert state.confirmed == (state.prospect.target is None)
 
@@ -274,5 +277,6 @@ def test_a_sensor_that_is_touched_is_left_alone_for_longer(tmp_path):
     session, hand = session_in(tmp_path, coach=NoiseCoach), SimulatedHand(1)
     said = follow(session, hand, 26)
     assert "180 min" in said[10][0].advice
+    assert not said[10][0].known, "nothing is counted"
     assert "touched" not in said[-12][0].advice
     assert "touched at 2" in said[-1][0].advice

@@ -19,7 +19,7 @@ from gnomon.errors import OptionError, RecordingError
 from gnomon.live.hand import SimulatedHand
 from gnomon.live.other_coaches import MagnetometerCoach
 from gnomon.live.session import LiveSession
-from gnomon.live.sources import PushSource, open_source
+from gnomon.live.sources import Pace, PushSource, open_source
 from gnomon.options.requirements import USES
 from gnomon.simulate import Scenario, simulate
 from gnomon.writers.recording_file import save_recording
@@ -167,6 +167,17 @@ class Phyphox(BaseHTTPRequestHandler):
 
     def log_message(self, *_):
         pass
+
+
+def test_streams_of_a_recording_wait_for_one_that_is_not_ready():
+    pace, stop = Pace(1), Event()
+    pace.begins_at(1)
+    pace.wait_for(1, stop)
+    pace._began_s -= 10.0  # an image took 10 s until it was there
+    pace.wait_for(1, stop)
+    began = time.monotonic()
+    pace.wait_for(400_000_001, stop)
+    assert time.monotonic() - began > 0.3
 
 
 def test_phyphox_is_asked_for_what_is_new():

@@ -222,7 +222,7 @@ class Live(Command):
             state = session.look_at_arrivals()
             faults = [*session.troubles(), *state.faults]
             wrong = f" ! {faults[0].text}" if faults else ""
-            line = f"{state.seconds:.0f} s, {state.known}. {state.advice}{wrong}"
+            line = f"{state.seconds:.0f} s{state.known}. {state.advice}{wrong}"
             key = line if sys.stderr.isatty() else f"{state.subject}{wrong}"
             if key != told:
                 terminal.progress(line)

@@ -168,7 +168,11 @@ function show(next) {
   $("hold").value = Math.min(1, next.still_s / next.hold_s);
   showBars(next.bars);
   drawSphere();
-  return counted(next.rests.length, "rest");
+  $("attitude").hidden = !next.counts; // of noise nothing is counted, of a field directions
+  $("known").hidden = next.counts !== "rest";
+  $("field").hidden = next.counts !== "direction";
+  $("counted").textContent = `${next.counts}s`;
+  return next.counts && counted(next.rests.length, next.counts);
 }
 
 follow(show).addEventListener("trace", (event) => { trace = [...trace, ...JSON.parse(event.data)].slice(-600); drawTrace(); });

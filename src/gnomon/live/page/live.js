@@ -42,12 +42,12 @@ function showCommon(next, numbers) {
   }
   $("advice").className = next.confirmed ? "enough" : "";
   $("stop").className = next.confirmed ? "enough" : "";
-  $("numbers").textContent = `${next.seconds.toFixed(0)} s, ${next.rate_hz.toFixed(0)} Hz, ${numbers}` +
+  $("numbers").textContent = `${next.seconds.toFixed(0)} s, ${next.rate_hz.toFixed(0)} Hz${numbers && `, ${numbers}`}` +
     (next.damaged ? `, ${next.damaged} damaged lines` : "");
-  const faults = next.faults.map(([, text]) => text).join("\n");
-  if ($("faults").dataset.shown !== faults) {
-    $("faults").dataset.shown = faults;
-    $("faults").replaceChildren(...next.faults.map(([, text]) => Object.assign(document.createElement("li"), { textContent: text })));
+  const faults = next.stopped ? [] : next.faults.map(([, text]) => text); // what is over is not mended
+  if ($("faults").dataset.shown !== faults.join("\n")) {
+    $("faults").dataset.shown = faults.join("\n");
+    $("faults").replaceChildren(...faults.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
   }
 }
 
