@@ -466,8 +466,8 @@ def study_page(seconds):
           f"{p95:.0f} (p95), {most:.0f} (most)")  # fmt: skip
 
 
-def resident_mb():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+def resident_mb(process="self"):
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def lines_of_noise(seconds, rate_hz):
@@ -533,8 +533,10 @@ def study_memory_rig(hours, camera_rate_hz=5):
             if k % (camera_rate_hz * 600) == camera_rate_hz * 600 - 1:
                 for written in sorted((Path(place) / "rec").rglob("*.png"))[:-600]:
                     written.unlink()
+                trials_mb = resident_mb(session._trials._process.pid) if session._trials else 0.0
                 print(f"memory: rig, {(k + 1) / camera_rate_hz / 60:.0f} min, {session.images.written} images, "
-                      f"{session.samples.recorder.written} samples: {resident_mb():.0f} MB", flush=True)  # fmt: skip
+                      f"{session.samples.recorder.written} samples: {resident_mb():.0f} MB, and {trials_mb:.0f} MB of "
+                      "what checks it", flush=True)  # fmt: skip
         session.end_recording()
 
 

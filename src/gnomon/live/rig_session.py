@@ -25,7 +25,7 @@ from .session import LiveSession
 from .sources import LiveSource
 from .trials import TrialOutcome
 
-_SHORTEST_S, _AGAIN_S, _LONGEST_S = 30.0, 10.0, 120.0
+_SHORTEST_S, _AGAIN_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
@@ -126,10 +126,10 @@ class RigCoach(BoardCoach):
 
     @property
     def wants_trial(self) -> bool:
-        """Whether the motion so far may be enough, or tells of camera and IMU what an early check can find."""
+        """Whether the motion so far may be enough, or tells what an early check can find; not of a long recording."""
         due = self.state.seconds - self._checked_s >= max(_CHECK_S, _CHECK_SHARE * self._checked_s)
         moved = float(self._motion.turned_s.sum()) >= _CHECK_TURNED_S and len(self._views) >= _CHECK_VIEWS
-        return self.wants_calibration or (due and moved)
+        return self.state.seconds <= _LAST_TRY_S and (self.wants_calibration or (due and moved))
 
     def take_outcome(self, outcome: TrialOutcome) -> None:
         """Take what a check or a calibration of the recording so far said."""
@@ -165,6 +165,8 @@ class RigCoach(BoardCoach):
         if needs["length"] < 1:
             left = _SHORTEST_S - self._seconds
             return {"phase": "more", "advice": f"Go on turning and shaking in front of the board, {ceil(left)} s more."}
+        if self._seconds > _LAST_TRY_S:
+            return {"phase": "trying", "advice": "Enough time has passed: stop, and see what comes of all of it."}
         return {"phase": "trying", "advice": self._not_yet or "Go on: a calibration is tried meanwhile."}
 
 

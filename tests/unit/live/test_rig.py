@@ -109,6 +109,9 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
     assert coach.wants_trial
     coach.recording_so_far()
     assert not coach.wants_trial, "not before there is more"
+    for seconds, wanted in ((1100.0, True), (1300.0, False)):
+        coach.state = replace(coach.state, seconds=seconds)
+        assert coach.wants_trial == wanted, "what a trial reads is bounded"
     coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 1.5),)))
     assert not show(coach, waved, 1, first=309).confirmed
     coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 0.5),)))
