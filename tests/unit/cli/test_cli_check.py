@@ -201,3 +201,18 @@ def test_what_was_turned_for_its_magnetometer_needs_no_rests(tmp_path) -> None:
     assert (found["exit_code"], codes["never-static"]) == (0, "info")
     _, out, _ = run("check", path)
     assert f"gnomon magnetometer {path}" in out
+
+
+def test_one_attitude_is_for_noise_and_few_for_the_magnetometer(tmp_path) -> None:
+    rest, few = tmp_path / "rest.npz", tmp_path / "few.npz"
+    assert run("simulate", "noise", "-o", rest, "--seed", 3, "--duration-s", 120)[0] == 0
+    found, codes = document(rest)
+    assert (found["exit_code"], codes["always-static"]) == (4, "problem")
+    assert found["next"] == [f"gnomon noise {rest}"]
+    assert run("simulate", "imu", "-o", few, "--seed", 3, "--intervals", 5, "--t-init-s", 5)[0] == 0
+    with np.load(few) as archive:
+        arrays = dict(archive)
+    np.savez(few, **arrays, magnetometer=arrays["accelerometer"] / 20)
+    found, codes = document(few)
+    assert (found["exit_code"], codes["attitudes"]) == (0, "warning")
+    assert found["next"] == [f"gnomon magnetometer {few}"]

@@ -88,10 +88,19 @@ def _check_imu(command: Check, terminal: Terminal) -> int:
     recording = read(*source.paths, **source.table)
     inertial = {name: imu for name, imu in recording.imus.items() if imu.magnetometer is None or len(imu.accelerometer)}
     findings = [*check(replace(recording, imus=inertial)), *check_magnetometers(recording)]
-    rests = any(finding.code == "attitudes" for finding in findings)
-    field = any(imu.magnetometer is not None for imu in recording.imus.values())
-    following = ("imu" if rests else "magnetometer", *source.paths, *_table_words(source)) if rests or field else ()
+    kind = _calibration_of(findings, field=any(imu.magnetometer is not None for imu in recording.imus.values()))
+    following = (kind, *source.paths, *_table_words(source)) if kind else ()
     return _print_check(findings, recording.imus, {}, recording.assumptions, terminal, following=following)
+
+
+def _calibration_of(findings: "Sequence[Finding]", *, field: bool) -> str | None:
+    """Return the command that a recording of an IMU, perhaps with a magnetometer (field), is good for."""
+    rests = {finding.code: finding.severity for finding in findings if finding.code in ("attitudes", "always-static")}
+    if "always-static" in rests:
+        return "noise"
+    if field and rests.get("attitudes") != "good":
+        return "magnetometer"
+    return "imu" if rests else None
 
 
 def _table_words(source: Input) -> list[str]:
@@ -233,7 +242,8 @@ def _print_check(
     """Print what a recording holds, what was found, and which command follows; return the exit code."""
     from ..summary import finding_lines
 
-    code = UNUSABLE if any(finding.severity == "problem" for finding in findings) else USABLE
+    problems = {finding.code for finding in findings if finding.severity == "problem"}
+    code = UNUSABLE if problems else USABLE
     print_assumptions(assumptions, terminal)
     for name, entry in cameras.items():
         terminal.print(_camera_line(name, entry))
@@ -250,7 +260,7 @@ def _print_check(
     for severity, style in _STYLES.items():
         if lines := list(finding_lines(told, good=True, severity=severity)):
             terminal.print("\n" + "\n".join(lines), style)
-    if following and code == USABLE:
+    if following and problems <= {"always-static"}:  # which is what noise asks for
         terminal.print("")
         terminal.propose(*following)
     numbers = ("samples", "rate_hz", "duration_s", "unit")
