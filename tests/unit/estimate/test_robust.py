@@ -13,6 +13,7 @@ from gnomon.estimate.trust.clusters import (
     correlation_time,
     group_into_clusters,
     leave_clusters_out,
+    robust_variances,
 )
 
 NAMES = ("x.scale[0]", "x.scale[1]", "x.scale[2]", "x.bias[0]", "x.bias[1]", "x.bias[2]")
@@ -86,6 +87,19 @@ def test_factors_without_shrinkage_are_right_on_the_average():
         ratios.append(np.diag(moved) / expected)
         assert np.all((freedom > 1) & (freedom < 14))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("correlation", "least", "most"), [(0.0, 1.0, 0.92), (0.7, 1.8, 0.95)])
+def test_of_many_residuals_a_cluster_only_what_independent_errors_add_is_taken_away(correlation, least, most):
+    rng = np.random.default_rng(8)
+    factors, plain = [], []
+    for _ in range(200):
+        sums, _ = linear(rng, stretches=6, rows=1, correlation=correlation)
+        factors.append(robust_variances([sums], np.eye(6), BLOCK, many=True).factor)
+        moved = leave_clusters_out(sums)
+        plain.append(5 / 6 * np.sum(moved**2, axis=0) / np.diag(np.linalg.inv(sums.total)))
+    assert np.min(factors) >= 1.0
+    assert least < np.mean(factors) < most * np.mean(plain)
 
 
 def test_memory_makes_clusters_longer():

@@ -201,7 +201,7 @@ class Robust:
         return blended * np.outer(root, root) + self.from_prior
 
 
-def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
+def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers, *, many: bool = False) -> Robust:
     """Return by how much the variances of scalars are larger than for independent errors.
 
     Parameters
@@ -209,6 +209,7 @@ def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Int
     phases : sums of clusters; the same stretches of time cut with other borders
     jacobian : (m, p) of the scalars by the parameters of the sums
     block : (m,) number of the block of parameters that a scalar belongs to
+    many : whether clusters are of so many residuals that their scatter is not drawn to that of independent errors
     """
     found = [_jackknife(sums, jacobian) for sums in phases]
     shown, expected, freedom = (np.mean([one[k] for one in found], axis=0) for k in range(3))
@@ -216,12 +217,17 @@ def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Int
     told = expected > 0
     total, prior = phases[0].total, phases[0].prior_information
     gain = jacobian @ _inverse(total)
+    from_errors = gain @ (total - prior) @ gain.T
     size = np.sqrt(np.where(variance > 0, variance, 1.0))
     correlation = shown / np.outer(size, size)
     np.fill_diagonal(correlation, 1.0)
+    if many:
+        factor = _beyond_independent(variance - expected, np.diag(from_errors), block)
+    else:
+        factor = _shrunk(np.where(told, variance / np.where(told, expected, 1.0), 1.0), told * freedom, block)
     return Robust(
-        factor=_shrunk(np.where(told, variance / np.where(told, expected, 1.0), 1.0), told * freedom, block),
-        from_errors=gain @ (total - prior) @ gain.T,
+        factor=factor,
+        from_errors=from_errors,
         from_prior=gain @ prior @ gain.T,
         correlation=correlation,
         clusters=round(float(np.mean([len(sums) for sums in phases]))),
@@ -252,6 +258,18 @@ def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Flo
     expected = np.sum(own - less, axis=1)
     spread = np.sum((own - less) ** 2, axis=1) + np.maximum(apart, 0.0)
     return moves.T @ moves, expected, expected**2 / np.where(spread > 0, spread, 1.0)
+
+
+def _beyond_independent(excess: Floats, independent: Floats, block: Integers) -> Floats:
+    """Return factors (m,) of variances by what is shown beyond independent errors, each half-way to its block's mean.
+
+    What the jackknife shows of independent errors beyond their variance is known; of others it stays, on the safe side.
+    """
+    told = independent > 0
+    raw = np.where(told, 1 + excess / np.where(told, independent, 1.0), 1.0)
+    _, which = np.unique(block, return_inverse=True)
+    mean = np.bincount(which, told * raw) / np.maximum(np.bincount(which, told), 1)
+    return np.asarray(np.where(told, np.maximum((raw + mean[which]) / 2, _LEAST), 1.0))
 
 
 def _shrunk(raw: Floats, freedom: Floats, block: Integers) -> Floats:

@@ -12,9 +12,10 @@ from ....results.calibration import AccelerometerCalibration, CameraCalibration,
 from ....results.parameters import covariance_names
 from ....results.trust import SigmaRatio, Splits, Trust
 from ...trust.changes import parameter_changes
+from ...trust.clusters import robust_variances
 from ...trust.parts import Split, part_agreement, part_differences
 from ..parameters import CameraParameters, ImuParameters, RigParameters
-from .uncertainty import TimeClusters, Uncertainty, cluster_robust_covariance, with_uncertain
+from .uncertainty import TimeClusters, Uncertainty, with_uncertain
 
 _IMU_SCALARS = 33
 _BIASES = 6
@@ -206,6 +207,6 @@ def _splits(by_time: TimeClusters, jacobian: Floats, names: np.ndarray, blocks: 
         return None
     scalars = jacobian @ by_time.scalars
     number = np.unique([name.partition("[")[0] for name in names], return_inverse=True)[1].astype(np.int64)
-    wider = cluster_robust_covariance(by_time.phases, scalars, number)
+    wider = robust_variances(by_time.phases, scalars, number, many=True)
     found = part_differences(by_time.stretches, scalars, wider, splits)
     return part_agreement(found, splits, tuple(names.tolist()), compared) if len(found) else None

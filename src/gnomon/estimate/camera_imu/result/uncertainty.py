@@ -8,7 +8,7 @@ board, the intrinsics) is tested by the step that it would take if it were free.
 The equations count all errors as independent. What a recording really shows, clusters of time tell (`cluster_sums`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +18,10 @@ from ....recording import Floats, Integers
 from ....results.trust import Clusters
 from ...trust.clusters import (
     ClusterSums,
-    Robust,
     correlation_time,
     group_into_clusters,
     leave_clusters_out,
+    robust_variances,
     whole_estimate,
 )
 from ..batch import mean_weights
@@ -168,7 +168,7 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
     block = _block_numbers(found.names, means)[kept]
     lasts = correlation_time(leave_clusters_out(own) @ scalars[kept].T, block)
     phases, length = group_into_clusters(own, max(lasts, _LEAST_MEMORY))
-    wider = cluster_robust_covariance(phases, scalars[kept], block)
+    wider = robust_variances(phases, scalars[kept], block, many=True)
     stretch_s = float(np.median(np.diff(sums.t_s)))
     spread = scalars @ np.linalg.inv(scalars[kept])
     more = spread @ (wider.covariance - found.ordinary[np.ix_(kept, kept)]) @ spread.T
@@ -202,44 +202,9 @@ def _held_by_clusters(
             )
             phases, _ = group_into_clusters(at_rest, memory)
             scalars = np.eye(len(columns) + len(index))[len(columns) :]
-            wider = cluster_robust_covariance(phases, scalars, np.zeros(len(index), np.int64))
+            wider = robust_variances(phases, scalars, np.zeros(len(index), np.int64), many=True)
             found[block] = replace(entry, wanted_sigma=entry.wanted_sigma * np.sqrt(wider.factor))
     return found
-
-
-def cluster_robust_covariance(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
-    """Return by how much variances are larger than for independent errors, by the jackknife over clusters (CR3).
-
-    None is smaller. From some dozen clusters the factors scatter: each is drawn half-way to the mean of its block.
-
-    Parameters
-    ----------
-    phases : sums of clusters, with several sets of borders
-    jacobian : (m, p) of scalars by the columns of the sums
-    block : (m,) number of the block of parameters that a scalar belongs to
-    """
-    shown = np.zeros((len(jacobian),) * 2)
-    for sums in phases:
-        moves = leave_clusters_out(sums) @ jacobian.T
-        shown += (len(sums) - 1) / len(sums) / len(phases) * moves.T @ moves
-    total, prior = phases[0].total, phases[0].prior_information
-    gain = jacobian @ whole_estimate(phases[0])[1]
-    from_errors = gain @ (total - prior) @ gain.T
-    variance, independent = np.diag(shown), np.diag(from_errors)
-    told = independent > 0
-    factor = np.where(told, variance / np.where(told, independent, 1.0), 1.0)
-    which = np.unique(block, return_inverse=True)[1]
-    mean = np.bincount(which, told * factor) / np.maximum(np.bincount(which, told), 1)
-    size = np.sqrt(np.where(variance > 0, variance, 1.0))
-    correlation = shown / np.outer(size, size)
-    np.fill_diagonal(correlation, 1.0)
-    return Robust(
-        factor=np.where(told, np.maximum((factor + mean[which]) / 2, 1.0), 1.0),
-        from_errors=from_errors,
-        from_prior=gain @ prior @ gain.T,
-        correlation=correlation,
-        clusters=round(float(np.mean([len(sums) for sums in phases]))),
-    )
 
 
 def _block_numbers(names: tuple[str, ...], means: int) -> Integers:
