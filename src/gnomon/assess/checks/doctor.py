@@ -213,7 +213,7 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     return merge_by_cause(list(findings)) if len(recording.imus) == 1 else findings
 
 
-_OF_RESTS = {"never-static", "always-static", "attitudes"}
+_OF_RESTS = {"never-static", "attitudes"}
 
 
 def _for_a_magnetometer(finding: Finding, *, alone: bool) -> Finding:

@@ -86,6 +86,7 @@ def significant_cluster(out: Booleans) -> tuple[int, int] | None:
 _APART_DEG = 10.0
 _SOME, _NEEDED, _GOOD = 6, 9, 12  # attitudes: for scales and bias; for all nine parameters; to let errors show
 _START_S = 20.0
+_STILL = 0.9  # of the time at rest: the sensor was not turned between its rests either
 _LAG_S = 0.05
 _UNSTEADY, _MOVING = 1.35, 1.8  # wander within an interval; 0.9 to 1.1 where a sensor really rests
 _PLAUSIBLE, _POSSIBLE = 0.15, 0.5  # relative error of gravity at rest, uncalibrated
@@ -114,7 +115,7 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
     t_s = accelerometer.t_s
     left_out = left_out_rests_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
-    if attitudes < 2:
+    if attitudes < 2 and total > _STILL:
         return [*findings, make_finding("always-static", label=label, total=total), *left_out]
     findings += [_attitudes(attitudes, found, total, label), *left_out]
     findings.append(_static_start(accelerometer, found.found, label))
@@ -304,7 +305,8 @@ def why_no_gravity(found_m_s2: float, message: str) -> str:
 def _attitudes(attitudes: int, rests: Rests, share: float, label: str) -> Finding:
     usable = int(rests.used.sum())
     number = "1 rest" if len(rests) == 1 else f"{len(rests)} rests"
-    message = f"{label}: {number} ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart" + (
+    where = " in one attitude" if attitudes == 1 else f" in {attitudes} attitudes more than 10 deg apart"
+    message = f"{label}: {number} ({100 * share:.0f} % of the time){where}" + (
         f", {usable} of them usable." if usable < len(rests) else "."
     )
     if attitudes >= _GOOD:
