@@ -18,9 +18,14 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-/* The same source for processors with and without AVX2, chosen when it is loaded. */
+/* The same source for processors with and without AVX2, chosen when it is loaded, by what the processor can do:
+   "arch=haswell" would be chosen on a Haswell alone. */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
-#define CLONES __attribute__((target_clones("arch=haswell", "default")))
+#if __GNUC__ >= 12
+#define CLONES __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define CLONES __attribute__((target_clones("avx2", "default")))
+#endif
 #else
 #define CLONES
 #endif
