@@ -37,7 +37,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 8 /* changes whenever the arguments of a function do */
+#define INTERFACE 9 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -932,74 +932,129 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
     }
 }
 
-/* sums for Allan variances (estimate/allan/deviation.py) */
+/* sums for Allan variances (estimate/allan/deviation.py): S[k] of the first k samples, z_m(k) = S[k + 2 m] - 2 S[k + m] +
+   S[k] */
 
-#define LANES 16      /* sums that are added up beside each other */
-#define STRETCH 16384 /* terms whose sums stay in the nearer memory for all averaging times */
+#if defined(__GNUC__) && !defined(__clang__)
+#define FUSED __attribute__((optimize("fp-contract=fast"))) /* a product and a sum in one */
+#else
+#define FUSED
+#endif
+#define TIMES 6      /* averaging times m, 2 m, 4 m, ... whose squares are added up in one pass */
+#define SHORT 12     /* averaging times of 1, 2, 4, ... samples, a multiple of TIMES */
+#define STRETCH 8192 /* terms whose sums stay in the nearer memory for all of them */
 
-/* Squares of the differences of d with itself m places later, of `used` pairs; of all pairs, sums into `sum`. */
-INLINE double allan_level(int64_t used, int64_t pairs, int64_t m, const double *restrict d, double *restrict sum) {
-    const double *later = d + m;
-    double lanes[LANES] = {0.0}, squares = 0.0;
-    const int64_t whole = used - used % LANES;
-    for (int64_t k = 0; k < whole; k += LANES)
-        for (int j = 0; j < LANES; j++) {
-            const double a = d[k + j], b = later[k + j], z = b - a;
-            lanes[j] += z * z, sum[k + j] = a + b;
+#if defined(__GNUC__)
+typedef double Lane __attribute__((vector_size(32), aligned(8), may_alias));
+#else
+typedef double Lane;
+#endif
+#define LANES ((int64_t)(sizeof(Lane) / sizeof(double)))
+
+INLINE double added(const Lane *lane) {
+    const double *each = (const double *)lane;
+    double sum = 0.0;
+    for (int64_t j = 0; j < LANES; j++) sum += each[j];
+    return sum;
+}
+
+/* Adds up z^2 of terms that begin from start to stop, for the first `times` of the averaging times m, 2 m, 4 m, ... */
+INLINE void allan_squares(int64_t start, int64_t stop, int64_t m, int times, const double *S, double *squares) {
+    Lane total[TIMES] = {{0.0}};
+    for (; start + LANES <= stop; start += LANES) {
+        const double *s = S + start;
+        const Lane first = *(const Lane *)s;
+        Lane near = *(const Lane *)(s + m) - first;
+        for (int time = 0; time < times; time++) {
+            const Lane far = *(const Lane *)(s + (m << (time + 1))) - first, z = far - 2.0 * near;
+            total[time] += z * z, near = far;
         }
-    for (int64_t k = whole; k < used; k++) {
-        const double z = later[k] - d[k];
-        lanes[0] += z * z, sum[k] = d[k] + later[k];
     }
-    for (int64_t k = used; k < pairs; k++) sum[k] = d[k] + later[k];
-    for (int j = 0; j < LANES; j++) squares += lanes[j];
-    return squares;
-}
-
-/* Adds up squares and their numbers for averaging times of m, 2 m, 4 m, ... places, of d (length), whose first `count`
-   places begin a term; `totals`, if any, sums of the differences. d and `spare` are overwritten. Returns the last d. */
-INLINE double *allan_levels(int64_t length, int64_t count, int64_t m, int64_t levels, double *d, double *spare,
-                            double *squares, double *terms, double *totals) {
-    for (int64_t level = 0; level < levels; level++, m *= 2) {
-        const int64_t pairs = length - m;
-        if (pairs <= 0) return NULL;
-        if (count > pairs) count = pairs;
-        if (totals)
-            for (int64_t k = 0; k < m; k++) totals[level] += d[pairs + k] - d[k];
-        squares[level] += allan_level(count, pairs, m, d, spare), terms[level] += count;
-        double *const sums = spare;
-        spare = d, d = sums, length = pairs;
-    }
-    return d;
-}
-
-/* Of samples (n), `step` apart, about `zero`, for averaging times of 1, 2, 4, ... samples; the first `count` begin a
-   term. line: their number times the samples, and the samples, summed up (2); last: the sums of 2^levels samples;
-   work: 2 (STRETCH + 2^levels). */
-CLONES EXPORT void gnomon_allan_short(int64_t n, const double *y, int64_t step, double zero, int64_t count,
-                                      int64_t levels, double *work, double *squares, double *terms, double *line,
-                                      double *last) {
-    const int64_t halo = (int64_t)1 << levels;
-    for (int64_t start = 0; start < count; start += STRETCH) {
-        const int64_t own = count - start < STRETCH ? count - start : STRETCH;
-        const int64_t length = n - start < own + halo ? n - start : own + halo, sums = length - halo + 1;
-        for (int64_t k = 0; k < length; k++) work[k] = y[(start + k) * step] - zero;
-        for (int64_t k = 0; k < own; k++) line[0] += (double)(start + k) * work[k], line[1] += work[k];
-        const double *d = allan_levels(length, own, 1, levels, work, work + STRETCH + halo, squares, terms, NULL);
-        if (d) memcpy(last + start, d, (own < sums ? own : sums) * sizeof(double));
+    for (int time = 0; time < times; time++) {
+        squares[time] += added(total + time);
+        for (int64_t k = start; k < stop; k++) {
+            const double z = S[k + (m << (time + 1))] - 2.0 * S[k + (m << time)] + S[k];
+            squares[time] += z * z;
+        }
     }
 }
 
-/* Of sums of m samples (n), one after every sample, for averaging times of m, 2 m, 4 m, ... samples, `width` places of
-   the first m at once; work: 2 width (n / m + 1). */
-CLONES EXPORT void gnomon_allan_long(int64_t n, const double *d, int64_t m, int64_t width, int64_t levels, double *work,
-                                     double *squares, double *terms, double *totals) {
+/* The same of S (n), at whose end longer averaging times have fewer terms. */
+INLINE void allan_terms(int64_t start, int64_t stop, int64_t n, int64_t m, int times, const double *S, double *squares) {
+    for (; times && start < stop; times--) {
+        const int64_t left = n - (m << times), to = left < start ? start : left < stop ? left : stop;
+        switch (times) {
+        case 6: allan_squares(start, to, m, 6, S, squares); break;
+        case 5: allan_squares(start, to, m, 5, S, squares); break;
+        case 4: allan_squares(start, to, m, 4, S, squares); break;
+        case 3: allan_squares(start, to, m, 3, S, squares); break;
+        case 2: allan_squares(start, to, m, 2, S, squares); break;
+        default: allan_squares(start, to, m, 1, S, squares);
+        }
+        start = to;
+    }
+}
+
+/* Goes on adding up samples (n, 3) about `zero` (3): S[k + 1] (3 times `apart`), `sum` being the last ones, and the sums
+   of all S[k] in `line`. */
+INLINE void allan_add_up(int64_t n, const double *y, int64_t step, int64_t across, const double *zero, int64_t apart,
+                         double *S, double *sum, double *line) {
+    const double zero_0 = zero[0], zero_1 = zero[1], zero_2 = zero[2];
+    double sum_0 = sum[0], sum_1 = sum[1], sum_2 = sum[2], line_0 = 0.0, line_1 = 0.0, line_2 = 0.0;
+    for (int64_t k = 0; k < n; k++, y += step) {
+        line_0 += sum_0, line_1 += sum_1, line_2 += sum_2;
+        S[k] = sum_0 += y[0] - zero_0;
+        S[k + apart] = sum_1 += y[across] - zero_1;
+        S[k + 2 * apart] = sum_2 += y[2 * across] - zero_2;
+    }
+    sum[0] = sum_0, sum[1] = sum_1, sum[2] = sum_2, line[0] += line_0, line[1] += line_1, line[2] += line_2;
+}
+
+/* Of samples (n, 3) about `zero` (3), `step` from one to the next and `across` from axis to axis, of which the first
+   `count` begin a term. S (3, n + 1); squares: of z (3, SHORT); line: sums of the first `count` of S (3). */
+FUSED CLONES EXPORT void gnomon_allan_short(int64_t n, const double *y, int64_t step, int64_t across, const double *zero,
+                                      int64_t count, double *S, double *squares, double *line) {
+    double sum[3] = {0.0}, unused[3];
+    for (int i = 0; i < 3; i++) S[i * (n + 1)] = 0.0;
+    for (int64_t start = 0, known = 0; start < count; start += STRETCH) {
+        const int64_t stop = count - start < STRETCH ? count : start + STRETCH;
+        while (known < n && known < stop + (1 << SHORT)) { /* the line is that of the first `count` */
+            const int64_t next = stop + (1 << SHORT) < n ? stop + (1 << SHORT) : n;
+            const int64_t to = known < count && count < next ? count : next;
+            allan_add_up(to - known, y + known * step, step, across, zero, n + 1, S + known + 1, sum,
+                         known < count ? line : unused);
+            known = to;
+        }
+        for (int i = 0; i < 3; i++)
+            for (int time = 0; time < SHORT; time += TIMES)
+                allan_terms(start, stop, n + 1, (int64_t)1 << time, TIMES, S + i * (n + 1), squares + SHORT * i + time);
+    }
+}
+
+/* Of S in rows of m (n in all), from each of which `zero` lacks, for averaging times of m, 2 m, 4 m, ... places, `width`
+   places of the rows at once; work: width (n / m + 1). totals: sums of z. */
+FUSED CLONES EXPORT void gnomon_allan_long(int64_t n, const double *const *S, const double *zero, int64_t m, int64_t width,
+                                     int64_t levels, double *work, double *squares, double *totals) {
     const int64_t rows = n / m, rest = n % m; /* the first places have a row more */
     for (int64_t first = 0; first < m;) {
         const int64_t stop = first < rest ? rest : m, columns = stop - first < width ? stop - first : width;
         const int64_t height = first < rest ? rows + 1 : rows, length = height * columns;
-        for (int64_t r = 0; r < height; r++) memcpy(work + r * columns, d + r * m + first, columns * sizeof(double));
-        allan_levels(length, length, columns, levels, work, work + width * (rows + 1), squares, terms, totals);
+        for (int64_t r = 0; r < height; r++)
+            for (int64_t k = 0; k < columns; k++) work[r * columns + k] = S[r][first + k] + zero[r];
+        for (int64_t level = 0, times; level < levels; level += times) {
+            times = levels - level < TIMES ? levels - level : TIMES;
+            allan_terms(0, length, length, columns << level, (int)times, work, squares + level);
+        }
+        for (int64_t level = 0, lag = columns; level < levels && 2 * lag < length; level++, lag *= 2) {
+            const double *end = work + length - lag; /* of all z, what is left of their terms is at either end */
+            Lane total = {0.0};
+            int64_t k = 0;
+            for (; k + LANES <= lag; k += LANES)
+                total += (*(const Lane *)(end + k) - *(const Lane *)(end + k - lag)) -
+                         (*(const Lane *)(work + k + lag) - *(const Lane *)(work + k));
+            for (totals[level] += added(&total); k < lag; k++)
+                totals[level] += (end[k] - end[k - lag]) - (work[k + lag] - work[k]);
+        }
         first += columns;
     }
 }

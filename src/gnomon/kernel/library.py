@@ -15,12 +15,14 @@ Singles = NDArray[np.float32]
 
 MOST_PIXELS = 512
 """Of the window of a corner (PIXELS in kernel.c)."""
-ALLAN_STRETCH = 16384
-"""Of terms at once (STRETCH in kernel.c)."""
+ALLAN_SHORT = 12
+"""Of averaging times that are summed up as the samples come (SHORT in kernel.c)."""
 MOST_COLUMNS = 64
 """Of a corner (WIDTH in kernel.c)."""
 MOST_INERTIAL = 168
 """Of a reading (INERTIAL in kernel.c)."""
+
+_NEAR = 16_384  # numbers that the processor keeps near
 
 BLOCKS = (
     *("S_g", "M_g", "q_bg", "B_g", "S_a", "M_a", "lever_arms", "T_imu_body.rotation", "T_imu_body.translation"),
@@ -258,43 +260,43 @@ def integrate_segments(
     return rotation, sensitivity
 
 
-def allan_short(values: Floats, zero: float, count: int, levels: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return sums of samples (n,) about a zero for 1, 2, 4, ... of them averaged; the first `count` begin a term.
+def allan_short(values: Floats, zero: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+    """Return sums (3, n + 1) of the first samples (n, 3) about a zero (3,); the first `count` begin a term.
 
     Returns
     -------
-    (levels,) sums of z_m^2 and their numbers, (2,) of the samples times their numbers and of the samples, and the sums
-    of 2^levels samples
+    the sums, those of z_m^2 (3, k) for 1, 2, 4, ... samples averaged, and those of the first `count` sums (3,)
     """
     library = load_kernel()
     assert library is not None
-    squares, terms, line = np.zeros(levels), np.zeros(levels), np.zeros(2)
-    last = np.empty(max(min(count, len(values) - (1 << levels) + 1), 0))
-    work = np.empty(2 * (ALLAN_STRETCH + (1 << levels)))
+    sums, squares, line = np.empty((3, len(values) + 1)), np.zeros((3, ALLAN_SHORT)), np.zeros(3)
+    step, across = (_long(stride // values.itemsize) for stride in values.strides)
     library.gnomon_allan_short(
-        *(_long(len(values)), ctypes.c_void_p(values.ctypes.data), _long(values.strides[0] // values.itemsize)),
-        *(ctypes.c_double(zero), _long(count), _long(levels), *map(_out, (work, squares, terms, line, last))),
+        *(_long(len(values)), ctypes.c_void_p(values.ctypes.data), step, across, _at(zero), _long(count)),
+        *map(_out, (sums, squares, line)),
     )
-    return squares, terms, line, last
+    return sums, squares, line
 
 
-def allan_long(sums: Floats, m: int, levels: int) -> tuple[Floats, Floats, Floats]:
-    """Return sums for m, 2 m, 4 m, ... samples averaged from sums (n,) of m samples.
+def allan_long(sums: Sequence[Floats], zeros: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
+    """Return sums of z_m^2 and of z_m (levels,) for m, 2 m, 4 m, ... places of sums, in parts that lack a zero each.
 
-    Returns
-    -------
-    (levels,) sums of z_m^2, their numbers, and sums of z_m
+    Parameters
+    ----------
+    sums : all but the last in multiples of m
+    zeros : (parts,)
     """
     library = load_kernel()
     assert library is not None
-    rows = len(sums) // m + 1
-    width = min(m, max(2 * ALLAN_STRETCH // rows, 8))
-    squares, terms, totals = np.zeros((3, levels))
+    rows = [(len(part) - 1) // m + 1 for part in sums]
+    starts = [part.ctypes.data + m * part.itemsize * np.arange(count) for part, count in zip(sums, rows, strict=True)]
+    width = min(m, max(_NEAR // sum(rows) // 8 * 8, 8))
+    squares, totals = np.zeros((2, levels))
     library.gnomon_allan_long(
-        *(_long(len(sums)), _at(sums), _long(m), _long(width), _long(levels), _out(np.empty(2 * width * rows))),
-        *map(_out, (squares, terms, totals)),
+        *(_long(sum(map(len, sums))), _at(np.concatenate(starts)), _at(np.repeat(zeros, rows)), _long(m), _long(width)),
+        *(_long(levels), *map(_out, (np.empty(width * sum(rows)), squares, totals))),
     )
-    return squares, terms, totals
+    return squares, totals
 
 
 def descend_corners(
