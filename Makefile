@@ -39,9 +39,10 @@ demo: install
 test: dev
 	$(BIN)/python $(TESTS) --quick
 
+# Both tiers at once: each process collects the tests and imports what they need once. The checks run beside them, in the
+# time that tests wait for the disk and for each other.
 test-all: dev
-	$(BIN)/python $(TESTS)
-	$(MAKE) --jobs 2 --output-sync check
+	@$(MAKE) --output-sync check & checks=$$!; $(BIN)/python $(TESTS); tests=$$?; wait $$checks && exit $$tests
 
 # Which tests are quick: by CPU time, as tests/tiers.py says. After large changes, on a machine that does nothing else.
 durations: dev
@@ -50,7 +51,6 @@ durations: dev
 test-lowest: $(LOWEST)/installed
 	$(LOWEST)/bin/python $(TESTS)
 
-# Three parts that make --jobs 2 does beside each other.
 check: lint types examples
 
 lint: dev
@@ -59,7 +59,7 @@ lint: dev
 	$(BIN)/lint-imports
 
 types: dev
-	$(BIN)/pyright --threads 2 --pythonpath $(BIN)/python
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 examples: dev
 	$(BIN)/python -m pytest --doctest-modules src

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from string import Formatter
 
 import pytest
@@ -23,8 +24,13 @@ def texts_of(entry):
         yield from value.values() if isinstance(value, dict) else (value,)
 
 
+@cache
 def made():
-    """Yield where a finding is made, its key as a pattern, the names of its facts, its cases; None if they are open."""
+    """Return where findings are made, their keys as patterns, the names of their facts, their cases."""
+    return list(_made())
+
+
+def _made():
     for path in sorted((ROOT / "src" / "gnomon").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "make_finding":
@@ -37,18 +43,15 @@ def made():
                 yield f"{path.name}:{node.lineno}", pattern, given, {str(one) for one in cases}
 
 
-MADE = list(made())
-
-
 def test_every_finding_has_its_entry_and_every_entry_its_finding():
-    assert len(MADE) > 250
-    assert [where for where, pattern, *_ in MADE if not any(re.fullmatch(pattern, key) for key in ENTRIES)] == []
-    patterns = [pattern for _, pattern, *_ in MADE]
+    assert len(made()) > 250
+    assert [where for where, pattern, *_ in made() if not any(re.fullmatch(pattern, key) for key in ENTRIES)] == []
+    patterns = [pattern for _, pattern, *_ in made()]
     assert {key for key in ENTRIES if not any(re.fullmatch(pattern, key) for pattern in patterns)} == set()
 
 
 def test_the_code_gives_the_facts_that_the_texts_name_and_no_other():
-    for where, pattern, given, cases in MADE:
+    for where, pattern, given, cases in made():
         for key in filter(re.compile(pattern).fullmatch, ENTRIES):
             entry = ENTRIES[key]
             named = {name for text in texts_of(entry) for _, name, _, _ in Formatter().parse(text) if name is not None}
