@@ -6,7 +6,7 @@ import numpy as np
 
 from ..detect.samples.range_change import saturated_samples
 from ..frozen import value_class
-from ..recording import Floats, ImuSamples, TriadSamples, smallest_steps
+from ..recording import ImuSamples, TriadSamples, smallest_steps
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 
 _SLOW_HZ = 80.0
@@ -57,7 +57,8 @@ def faults_of(recent: ImuSamples, rate_unit: float | None, *, still: bool) -> It
     yield from _coarse(accelerometer, force_unit, _COARSE_M_S2, "accelerometer")
     if len(gyroscope) >= _FEWEST:
         yield from _coarse(gyroscope, rate_unit, _COARSE_RAD_S, "gyroscope")
-        fastest = 0.0 if rate_unit is None else rate_unit * float(np.quantile(_size(gyroscope.values), 0.98))
+        largest = np.quantile(np.abs(gyroscope.values).max(axis=1), 0.98)
+        fastest = (rate_unit or 0.0) * float(largest)
         if fastest > _FAST_RAD * gyroscope.rate_hz:
             yield Fault(code="too-fast", text=f"Too fast ({np.degrees(fastest):.0f} deg/s): turn it more slowly.")
     if force_unit is not None:
@@ -73,10 +74,6 @@ def faults_of(recent: ImuSamples, rate_unit: float | None, *, still: bool) -> It
         elif found > most:
             text = f"The accelerometer shows {found:.2f} g: its unit is another one. State it with --units."
             yield Fault(code="not-gravity", text=text)
-
-
-def _size(values: Floats) -> Floats:
-    return np.abs(values).max(axis=1)
 
 
 def _of_stamps(samples: TriadSamples, name: str) -> Iterator[Fault]:

@@ -27,6 +27,7 @@ from .trials import TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
+_STEADY, _STEADY_S = 0.1, 1.0  # by which two calibrations may differ, and how far apart they are
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
@@ -99,6 +100,7 @@ class RigCoach(BoardCoach):
         super().__init__(target, camera)
         self._lens, self._motion = lens, motion
         self._tried_s = self._checked_s = self._asked_s = 0.0
+        self._again_s = _AGAIN_S
         self._setup: tuple[Fault, ...] = ()
         self._foreseen: tuple[tuple[str, float], ...] = ()
 
@@ -122,7 +124,7 @@ class RigCoach(BoardCoach):
         """Whether the motion so far may be enough."""
         done = self.state.phase == "trying" and self._seconds - self._asked_s >= _AFTER_S
         tried = done or (self.state.phase == "roll" and self._seconds >= _UNTILTED_S)
-        return not self._confirmed and tried and self.state.seconds - self._tried_s >= _AGAIN_S
+        return not self._confirmed and tried and self.state.seconds - self._tried_s >= self._again_s
 
     @property
     def wants_trial(self) -> bool:
@@ -136,8 +138,11 @@ class RigCoach(BoardCoach):
         self._setup = outcome.faults
         if outcome.verdict:
             super().take_outcome(outcome)
-            self._confirmed = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
-            self._foreseen = outcome.needs
+            before, self._foreseen = dict(self._foreseen), outcome.needs
+            reached = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
+            steady = all(abs(before.get(name, 9.0) - ratio) <= _STEADY * ratio for name, ratio in outcome.needs)
+            self._confirmed = reached and steady  # what changes within a second predicts nothing
+            self._again_s = _STEADY_S if reached else _AGAIN_S
 
     def _faults(self, view: BoardView, statistics: ImageStatistics, *, seen: bool) -> list[Fault]:
         return [*self._setup, *super()._faults(view, statistics, seen=seen)]

@@ -6,6 +6,7 @@ import re
 import socket
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -442,7 +443,7 @@ class PushSource(LiveSource):
     def __init__(self) -> None:
         super().__init__()
         self.trouble = "Nothing was pushed yet: enter the address of this page, with /push, in Sensor Logger."
-        self._waiting: list[Arrival] = []
+        self._waiting: deque[Arrival] = deque()
         self._chosen: dict[str, str] = {}
         self._more = Event()
 
@@ -480,15 +481,14 @@ class PushSource(LiveSource):
             self.trouble = "Gravity was taken off: switch on Total Acceleration in Sensor Logger too."
         elif arrivals:
             self.trouble = ""
-        self._waiting += arrivals
+        self._waiting.extend(arrivals)
         self._more.set()
         return len(rows)
 
     def arriving_lines(self, stop: Event) -> Iterator[Arrival]:
         """Yield what was pushed."""
         while not stop.is_set():
-            if not self._more.wait(_WAIT_S):
-                continue
-            self._more.clear()
-            waiting, self._waiting = self._waiting, []
-            yield from waiting
+            if self._more.wait(_WAIT_S):
+                self._more.clear()
+            while self._waiting:
+                yield self._waiting.popleft()
