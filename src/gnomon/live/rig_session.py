@@ -25,7 +25,7 @@ from .session import LiveSession
 from .sources import LiveSource
 from .trials import TrialOutcome
 
-_SHORTEST_S, _AGAIN_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 120.0, 1200.0
+_SHORTEST_S, _AGAIN_S, _LATER_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 30.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
 _STEADY, _STEADY_S = 0.1, 1.0  # by which two calibrations may differ, and how far apart they are
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
@@ -121,10 +121,10 @@ class RigCoach(BoardCoach):
 
     @property
     def wants_calibration(self) -> bool:
-        """Whether the motion so far may be enough."""
+        """Whether the motion so far may be enough, or still is."""
         done = self.state.phase == "trying" and self._seconds - self._asked_s >= _AFTER_S
         tried = done or (self.state.phase == "roll" and self._seconds >= _UNTILTED_S)
-        return not self._confirmed and tried and self.state.seconds - self._tried_s >= self._again_s
+        return (self._confirmed or tried) and self.state.seconds - self._tried_s >= self._again_s
 
     @property
     def wants_trial(self) -> bool:
@@ -137,12 +137,13 @@ class RigCoach(BoardCoach):
         """Take what a check or a calibration of the recording so far said."""
         self._setup = outcome.faults
         if outcome.verdict:
+            was = self._confirmed
             super().take_outcome(outcome)
             before, self._foreseen = dict(self._foreseen), outcome.needs
             reached = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
             steady = all(abs(before.get(name, 9.0) - ratio) <= _STEADY * ratio for name, ratio in outcome.needs)
-            self._confirmed = reached and steady  # what changes within a second predicts nothing
-            self._again_s = _STEADY_S if reached else _AGAIN_S
+            self._confirmed = reached and (steady or was)  # what changes within a second predicts nothing
+            self._again_s = _LATER_S if self._confirmed else _STEADY_S if reached else _AGAIN_S
 
     def _faults(self, view: BoardView, statistics: ImageStatistics, *, seen: bool) -> list[Fault]:
         return [*self._setup, *super()._faults(view, statistics, seen=seen)]

@@ -120,6 +120,12 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
     state = show(coach, waved, 1, first=309)
     assert state.confirmed
     assert dict(state.bars)["precision: translation"] == 2.0
+    coach.state = replace(state, seconds=coach._tried_s + 31.0)
+    assert coach.wants_calibration, "bars follow those who go on"
+    coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 0.3),)))
+    assert show(coach, waved, 1, first=309).confirmed
+    coach.take_outcome(TrialOutcome(verdict="warn", advice="The board moved.", needs=(("translation", 0.3),)))
+    assert show(coach, waved, 1, first=309).advice == "The board moved."
 
 
 def lens_of(simulation):
