@@ -27,7 +27,7 @@ from .trials import TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LATER_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 30.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
-_STEADY, _STEADY_S = 0.1, 1.0  # by which two calibrations may differ, and how far apart they are
+_STEADY, _STEADY_S = 0.1, 2.0  # by which two calibrations may differ, and how far apart they are at least [s]
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
@@ -142,7 +142,7 @@ class RigCoach(BoardCoach):
             before, self._foreseen = dict(self._foreseen), outcome.needs
             reached = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
             steady = all(abs(before.get(name, 9.0) - ratio) <= _STEADY * ratio for name, ratio in outcome.needs)
-            self._confirmed = reached and (steady or was)  # what changes within a second predicts nothing
+            self._confirmed = reached and (steady or was)  # what still changes predicts nothing
             self._again_s = _LATER_S if self._confirmed else _STEADY_S if reached else _AGAIN_S
 
     def _faults(self, view: BoardView, statistics: ImageStatistics, *, seen: bool) -> list[Fault]:
