@@ -21,7 +21,7 @@ _ENDING = ("SIGTERM", "SIGHUP")
 """Signals that end a program unless it does something about them; an interrupt is Python's own business."""
 _TIDYING_S = 1.5
 """So long the work may take to end by itself; one long step in a library does not ask whether it should."""
-_OBJECTS = 50_000
+_OBJECTS = 100_000
 """New objects after which Python looks for some that hold each other; at its 700, that takes 4 % of a calibration."""
 _NARROWEST = 40
 """Columns that the help needs; with fewer, laying it out takes for ever."""

@@ -45,8 +45,8 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "library": ("library.LibraryCommand", "a library of many devices: list, history, chart, report, export"),
     },
     "try": {
-        "demo": ("imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
-        "simulate imu": ("imu.Simulate", "a recording by hand, and its truth"),
+        "demo": ("simulated_imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
+        "simulate imu": ("simulated_imu.Simulate", "a recording by hand, and its truth"),
         "simulate poses": ("poses.SimulatePoses", "one static attitude after another"),
         "simulate turntable": ("turntable.SimulateTurntable", "recordings on a turntable"),
         "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),

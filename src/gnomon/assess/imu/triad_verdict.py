@@ -1,13 +1,11 @@
 """What verdicts on calibrations from known magnitudes have in common: accelerometer poses, turntable, magnetometer."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ...estimate.triads.triad import TriadFit
 from ...estimate.triads.triad_poses import S_
-from ...estimate.triads.triad_trust import merge_trusts
 from ...estimate.trust.cluster_trust import RobustCovariance
 from ...findings import Finding, make_finding
 from ...recording import Floats
@@ -15,6 +13,9 @@ from ...results.result import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..priors import NAMES, TRIADS
 from ..verdict import bias_findings, model_incomplete, parts_disagree
+
+if TYPE_CHECKING:
+    from ...estimate.triads.triad import TriadFit
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude
@@ -53,7 +54,7 @@ def held_names(triad: str, held: Booleans) -> tuple[str, ...]:
     return tuple(name for name, flag in zip(NAMES[TRIADS[triad]], held, strict=True) if flag)
 
 
-def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
+def relative_sigmas(fit: "TriadFit", covariance: Floats | None = None) -> Floats:
     """Return the sigmas of the sensitivity's entries relative to its rows, (3, 3).
 
     Where the common scale of all axes is unknown they are those at a given common scale, which is the cube root of the
@@ -87,8 +88,10 @@ def unit_findings(triad: Literal["accelerometer", "gyroscope"], sensitivity: Flo
     return [make_finding("unit/far", triad=triad, ratio=ratio, unit=unit, fits=fits, case="rate" if by_rate else "")]
 
 
-def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) -> list[Finding]:
+def triad_trust_findings(trusts: Sequence["tuple[RobustCovariance, TriadFit]"]) -> list[Finding]:
     """Say where errors are larger than independent ones, whether parts agree, and which biases changed."""
+    from ...estimate.triads.triad_trust import merge_trusts  # not of an IMU that was turned by hand
+
     trust = merge_trusts([one.trust for one, _ in trusts])
     findings = [*model_incomplete(trust), *parts_disagree(trust.splits)]
     for one, fit in trusts:
@@ -97,7 +100,7 @@ def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) ->
     return findings
 
 
-def redundancy_findings(fit: TriadFit) -> list[Finding]:
+def redundancy_findings(fit: "TriadFit") -> list[Finding]:
     """Say that there are hardly more poses than unknowns; nothing else shows errors."""
     if fit.degrees_of_freedom >= _FEW_REDUNDANT:
         return []
@@ -111,7 +114,7 @@ def redundancy_findings(fit: TriadFit) -> list[Finding]:
     ]
 
 
-def scatter_findings(fit: TriadFit, noise_sigma: float, magnitude: float, unit: str) -> list[Finding]:
+def scatter_findings(fit: "TriadFit", noise_sigma: float, magnitude: float, unit: str) -> list[Finding]:
     """Say that the residuals are larger than the noise at rest, and what that means.
 
     Parameters

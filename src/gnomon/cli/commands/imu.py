@@ -1,4 +1,4 @@
-"""The commands for an IMU alone: calibrate it, simulate a recording, and both as a demonstration."""
+"""The command that calibrates an IMU alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ...options import ImuOptions
-from ...simulate import Scenario
 from ..command import (
     CertificateFacts,
     Command,
@@ -14,28 +13,15 @@ from ..command import (
     ForUse,
     PosesInput,
     Report,
-    Seed,
     output_option,
 )
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
-from ..output_folder import (
-    DEMO_RECORDING,
-    RESULT_FILES,
-    TRUTH,
-    check_folder,
-    default_folder,
-    joined_folder,
-    result_folder,
-)
+from ..output_folder import check_folder, default_folder, joined_folder, result_folder
 from ..results import print_assumptions, print_result, write_result
-from ..simulated import write_simulated
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
     from ...recording import Recording
-
-
-_DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,67 +85,3 @@ def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
             of.setdefault(sentence.removeprefix(f"{name}: "), []).append(name)
     words = ["all recordings" if len(names) == len(recordings) else ", ".join(names) for names in of.values()]
     return [f"{who}: {sentence}" for who, sentence in zip(words, of, strict=True)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Simulate(Command):
-    """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml).
-
-    Examples
-    --------
-    $ gnomon simulate imu -o recording.npz
-    $ gnomon simulate imu -o recording.csv --intervals 20 --seed 7
-    """
-
-    output: Annotated[Path, output_option("FILE")]
-    """Recording to write, .npz or .csv."""
-    seed: Seed = 0
-    scenario: Annotated[Scenario, Flat] = field(default_factory=Scenario)
-
-    def run(self, terminal: Terminal) -> int:
-        """Simulate, write recording and truth, and return the exit code."""
-        from ...simulate import simulate
-
-        return write_simulated(lambda: simulate(self.scenario, self.seed), self.output, terminal, then="imu")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Demo(Command):
-    """Calibrate a simulated recording and compare the result with the truth.
-
-    Examples
-    --------
-    $ gnomon demo
-    """
-
-    output: Annotated[Path, output_option("DIR")] = Path("gnomon-demo")
-    """Folder for the recording, the truth and the results."""
-    seed: Seed = 0
-    report: Report = True
-
-    def run(self, terminal: Terminal) -> int:
-        """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""
-        from ...calibrate import calibrate_imu
-        from ...formats.own.calibration_text import save
-        from ...readers.recordings import read
-        from ...simulate import simulate
-        from ...writers.recording_file import save_recording
-        from ..summary import comparison_document, comparison_sentence, comparison_table, summary_lines
-
-        with result_folder(self.output, "demo", own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
-            terminal.progress("simulating a recording")
-            simulated, truth = simulate(_DEMO_SCENARIO, self.seed)
-            save_recording(simulated, staging / DEMO_RECORDING)
-            save(truth, staging / TRUTH)
-            recording = read(staging / DEMO_RECORDING)  # as a person's own recording would be
-            options = ImuOptions(gravity=_DEMO_SCENARIO.gravity)
-            result = calibrate_imu(recording, options, progress=terminal.progress)
-            write_result(result, staging, report=self.report, terminal=terminal)
-        if not self.json:
-            terminal.draw(comparison_table(result.calibration, truth))
-            terminal.print(comparison_sentence(result.calibration, truth))
-        more = {"comparison": comparison_document(result.calibration, truth)}
-        lines = summary_lines(result.calibration)
-        return print_result(
-            result.calibration, lines, self.output, recording.assumptions, terminal, parameters=False, more=more
-        )

@@ -26,8 +26,9 @@ _TOLD = 2000.0  # samples of all intervals that tell one kind of noise from anot
 _PART = 100  # intervals
 
 _NOISE = np.linspace(0.0, 1.0, 401)  # in steps
-_WAVES = np.arange(1, 400)[:, None]
-_OF_MEANS = np.sum(np.exp(-4 * (np.pi * _WAVES * _NOISE) ** 2) / _WAVES**2, axis=0) / (2 * np.pi**2)
+_WAVE, _OF = np.nonzero(np.arange(1, 400)[:, None] * _NOISE < 1.0)  # beyond, a wave adds less than 1e-17
+_TERMS = np.exp(-4 * (np.pi * (_WAVE + 1) * _NOISE[_OF]) ** 2) / (2 * (np.pi * (_WAVE + 1)) ** 2)
+_OF_MEANS = np.bincount(_OF, _TERMS, len(_NOISE))
 _SCATTER = _NOISE**2 + 1 / 12 - _OF_MEANS
 """Of rounded samples about their mean: what noise and rounding do together, less what the mean has of it."""
 
