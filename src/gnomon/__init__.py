@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from .options import (
         CameraImuOptions,
         CameraOptions,
+        FrameSelection,
         ImuOptions,
         MagnetometerOptions,
         NoiseOptions,
@@ -130,7 +131,8 @@ _HOMES = {
         "models.noise": "ImuNoise",
         "models.target": "Target",
         "options": (
-            "CameraImuOptions CameraOptions ImuOptions MagnetometerOptions NoiseOptions StatedRate TurntableOptions"
+            "CameraImuOptions CameraOptions FrameSelection ImuOptions MagnetometerOptions NoiseOptions StatedRate "
+            "TurntableOptions"
         ),
         "options.requirements": "Use",
         "readers.recordings": "read",
@@ -175,6 +177,7 @@ __all__ = [
     "Finding",
     "ForeignCalibration",
     "FormatError",
+    "FrameSelection",
     "GnomonError",
     "GyroscopeCalibration",
     "ImuCalibration",

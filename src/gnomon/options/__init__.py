@@ -1,6 +1,15 @@
 """What a person may choose; the command line is made from these classes."""
 
-from .cameras import BOARDS, COVARIANCES, BoardModel, CameraImuOptions, CameraOptions, CovarianceKind, stated_prior
+from .cameras import (
+    BOARDS,
+    COVARIANCES,
+    BoardModel,
+    CameraImuOptions,
+    CameraOptions,
+    CovarianceKind,
+    FrameSelection,
+    stated_prior,
+)
 from .imu import ImuOptions, MagnetometerOptions, NoiseOptions, Preset, StatedRate, TurntableOptions, default_rate_sigma
 from .ranges import check_ranges, option_range
 
@@ -11,6 +20,7 @@ __all__ = [
     "CameraImuOptions",
     "CameraOptions",
     "CovarianceKind",
+    "FrameSelection",
     "ImuOptions",
     "MagnetometerOptions",
     "NoiseOptions",

@@ -4,11 +4,29 @@ from typing import Literal, get_args
 
 from ..errors import OptionError
 from ..frozen import value_class
-from .ranges import check_gravity, check_positive, check_ranges
+from .ranges import check_gravity, check_positive, check_ranges, check_stretch
 
 BoardModel = Literal["auto", "stated", "aspect", "bow", "corners"]
 CovarianceKind = Literal["robust", "ordinary"]
 BOARDS, COVARIANCES = get_args(BoardModel), get_args(CovarianceKind)
+
+
+@value_class(eq=True)
+class FrameSelection:
+    """Which frames of a recording are taken; what the IMU read beyond them may stay."""
+
+    start_s: float = 0.0
+    """Leave out this long at the start of the images, in seconds."""
+
+    stop_s: float | None = None
+    """Leave out the images that come later than this, in seconds from the first one."""
+
+    frame_rate_hz: float | None = None
+    """Take at most so many images a second: 20 are enough."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        check_stretch(self.start_s, self.stop_s)
 
 
 @value_class(eq=True)

@@ -5,7 +5,7 @@ from typing import Literal
 
 from ..errors import OptionError
 from ..frozen import value_class
-from .ranges import check_gravity, check_positive, check_ranges
+from .ranges import check_gravity, check_positive, check_ranges, check_stretch
 
 Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]
 
@@ -97,10 +97,7 @@ class NoiseOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self)
-        if not 0 <= self.start_s < float("inf"):
-            raise OptionError(f"start_s {self.start_s:g} must be zero or more.")
-        if self.stop_s is not None and not self.stop_s > self.start_s:
-            raise OptionError(f"stop_s {self.stop_s:g} must be later than start_s {self.start_s:g}.")
+        check_stretch(self.start_s, self.stop_s)
 
 
 _LABELS_RPM = (16.0, 50 / 3, 33.0, 100 / 3, 33.5, 45.0, 78.0, 78.26)

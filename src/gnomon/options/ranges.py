@@ -138,6 +138,14 @@ def check_gravity(gravity_m_s2: float | None) -> None:
         )
 
 
+def check_stretch(start_s: float, stop_s: float | None) -> None:
+    """Raise an OptionError where a part of a recording ends before it begins, or begins before the recording does."""
+    if not 0 <= start_s < float("inf"):
+        raise OptionError(f"start_s {start_s:g} must be zero or more.")
+    if stop_s is not None and not stop_s > start_s:
+        raise OptionError(f"stop_s {stop_s:g} must be later than start_s {start_s:g}.")
+
+
 def check_positive(options: object, names: tuple[str, ...]) -> None:
     """Raise an OptionError where one of these fields has a value that is not greater than zero."""
     for name in names:

@@ -4,7 +4,7 @@ Cameras that were recorded as images: streams of frames that are decoded only wh
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,23 @@ class CameraFrames:
         if not np.isfinite(self.pixels).all():
             raise RecordingError(f"corner {int(np.argmin(np.isfinite(self.pixels).all(axis=1)))} is not a number.")
 
+    def where(self, kept: NDArray[np.bool_]) -> "CameraFrames":
+        """Return the frames of (n,) that are kept, with their corners."""
+        corner = kept[self.frame]
+        sigma, quality = self.sigma_px, self.quality
+        if quality is not None:
+            chosen = {name: getattr(quality, name)[kept] for name in ("blur_px", "black", "white")}
+            quality = FrameQuality(**chosen, dropped=quality.dropped)
+        return replace(
+            self,
+            t_ns=self.t_ns[kept],
+            frame=(np.cumsum(kept) - 1)[self.frame[corner]],
+            point=self.point[corner],
+            pixels=self.pixels[corner],
+            sigma_px=None if sigma is None else sigma[corner],
+            quality=quality,
+        )
+
     def _check_optional(self) -> None:
         sigma, covariance = self.sigma_px, self.lens_covariance
         if sigma is not None and (sigma.shape != self.frame.shape or not (np.isfinite(sigma) & (sigma > 0)).all()):
@@ -207,6 +224,7 @@ class ImageStream:
     camera : lens and intrinsics, where the recording itself states them (EuRoC's sensor.yaml)
     T_cam_imu, time_shift_cam_imu_s : guesses of the extrinsics, where the recording states them
     arrivals : where the recorder's clock is known
+    selection : which of the recording's frames these are, in words; empty for all
     """
 
     frames: Callable[[list[str]], Iterator[Frame]]
@@ -216,6 +234,7 @@ class ImageStream:
     T_cam_imu: Floats | None = None
     time_shift_cam_imu_s: float | None = None
     arrivals: Arrivals | None = None
+    selection: str = ""
 
 
 @value_class

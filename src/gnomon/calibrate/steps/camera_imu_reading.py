@@ -19,7 +19,9 @@ from ...formats.kalibr.imu import ImuInput
 from ...formats.kalibr.target import read_target
 from ...formats.sensor_inputs import ImuFiles, imu_paths, made_from, read_cameras, read_imus, read_rig
 from ...models.target import Target
+from ...options import FrameSelection
 from ...readers.files import file_source
+from ...readers.images.frame_selection import select_frames, select_images
 from ...readers.images.image_recording import open_images
 from ...readers.rig.camera_folder import holds_corners, recording_folder
 from ...readers.rig.corner_frames import read_corner_recording
@@ -46,6 +48,7 @@ def read_camera_imu(
     units: str | Units | None = None,
     topics: Mapping[str, str] = _NO_TOPICS,
     imu_table: str | PathLike[str] | None = None,
+    selection: FrameSelection | None = None,
     workers: int | None = None,
     cache: str | PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -65,6 +68,7 @@ def read_camera_imu(
     units : of the IMU's samples, as for `gnomon.read`; bags are in SI units
     topics : "cam0", "imu0", ... -> topic of a bag; guessed where it is clear
     imu_table : table of the IMU's samples, where it is not in the recording
+    selection : which of the frames are taken; all where not given
     workers : how many look for the board at once; as many as there are cores where not given
     cache : folder in which the corners are kept, so that the same images need not be looked at again
     progress : called with a sentence from time to time
@@ -85,6 +89,7 @@ def read_camera_imu(
     OptionError
         If an option does not fit.
     """
+    chosen = selection or FrameSelection()
     if str(target) != NO_BOARD and Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
         if cam is None:
             raise OptionError(
@@ -92,7 +97,7 @@ def read_camera_imu(
                 f"{path} as camchain.yaml; gnomon camera makes one of the same corners."
             )
         recording, board = read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
-        return _with_rig(recording, cam), board
+        return _with_rig(select_frames(recording, chosen), cam), board
     notes: list[str] = []
     board = None if str(target) == NO_BOARD else read_target(target, notes)
     stated = {} if cam is None else read_cameras(cam, notes)
@@ -100,6 +105,7 @@ def read_camera_imu(
     suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
     suggested |= {name: entry.topic for name, entry in noise.items() if entry.topic}
     images = open_images(path, topics=topics, suggested=suggested, units=units, imu_table=imu_table)
+    images = select_images(images, chosen)
     known = _known_cameras(images, stated, Path(path), cam, notes)
     tell = progress or (lambda _: None)
     cameras: dict[str, CameraFrames] = {}

@@ -195,7 +195,8 @@ def read_camera_corners(
     stream = images.streams[name]
     file = None
     if cache is not None:
-        file = cache_file(Path(cache), images.sources, name, stream.topic, target, lens_known=lens_known)
+        which = stream.topic + stream.selection
+        file = cache_file(Path(cache), images.sources, name, which, target, lens_known=lens_known)
     kept = None if file is None else kept_corners(file, known)
     if kept is not None and file is not None:
         said = f"{name}: the corners are those that an earlier run found in the same images ({file.name})."

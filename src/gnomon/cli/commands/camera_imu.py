@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ...errors import OptionError
-from ...options import CameraImuOptions
+from ...options import CameraImuOptions, FrameSelection
 from ...simulate import CameraImuScenario, RoomScenario
 from ...units import Units
 from ..command import (
@@ -86,6 +86,7 @@ class CameraImu(Command):
     """Table of the IMU's samples, where the recording has none, as a video."""
     units: str | None = None
     """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
+    frames: Annotated[FrameSelection, Flat] = field(default_factory=FrameSelection)
     workers: Workers = None
     cache: Cache = True
     output: Annotated[Path | None, output_option("DIR")] = None
@@ -143,6 +144,7 @@ class CameraImu(Command):
                 units=self.units,
                 topics=topics_of(self.topics),
                 imu_table=self.imu_table,
+                selection=self.frames,
                 workers=self.workers,
                 cache=folder if self.cache else None,
                 progress=terminal.progress,
