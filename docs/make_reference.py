@@ -23,6 +23,7 @@ from gnomon.findings import read_catalogue
 from gnomon.options import (
     CameraImuOptions,
     CameraOptions,
+    FrameSelection,
     ImuOptions,
     MagnetometerOptions,
     NoiseOptions,
@@ -76,6 +77,7 @@ _COMMAND_OF = {
     ImuOptions: "imu",
     CameraImuOptions: "camera-imu",
     CameraOptions: "camera",
+    FrameSelection: "camera-imu",
     TurntableOptions: "turntable",
     MagnetometerOptions: "magnetometer",
     NoiseOptions: "noise",
@@ -133,6 +135,7 @@ _SECTIONS = {
         "ImuOptions",
         "CameraImuOptions",
         "CameraOptions",
+        "FrameSelection",
         "TurntableOptions",
         "StatedRate",
         "MagnetometerOptions",
