@@ -24,14 +24,9 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import (
-    dsyrk,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
-    dtrsm,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
-    dtrsv,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
-)
-from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 
 from ..frozen import value_class
+from .lapack import dpotrf, dsyrk, dtrsm, dtrsv, dtrtri
 from .tied_band import TiedLayout
 
 Floats = NDArray[np.float64]

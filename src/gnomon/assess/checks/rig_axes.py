@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import solveh_banded
 
 from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_integral
 from ...estimate.camera_imu.start.board_poses import BoardPoses
@@ -27,6 +26,7 @@ from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
 from ...results.result import Booleans
+from ...solve.lapack import solve_banded
 from .board_turn import BoardTurns, board_turns
 
 _STEP_S = 0.1
@@ -478,8 +478,8 @@ def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) ->
         right[1:] += weight * (rate[1:] * differs).sum(axis=1)
         right[:-1] -= weight * (rate[:-1] * differs).sum(axis=1)
         banded = np.zeros((2, len(rate)))
-        banded[0, 1:], banded[1] = -weight * cross, diagonal
-        late = np.asarray(solveh_banded(banded, right), dtype=np.float64)
+        banded[0], banded[1, :-1] = diagonal, -weight * cross
+        late = solve_banded(banded, right)
         rest = np.linalg.norm(differs - rate[1:] * late[1:, None] + rate[:-1] * late[:-1, None], axis=1) / sigma
         weight = close / sigma**2 * np.minimum(1.0, 4.0 / np.maximum(rest, 1e-9)) ** 2
     return late, 1 / np.sqrt(diagonal), rest

@@ -7,6 +7,7 @@ accelerometer; q is held at zero, and tested by the step that it would take if i
 So is an axis whose scale is another one for negative readings: x + c |x| (scale factor asymmetry, IEEE 528).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import ceil, erfc, exp, pi, sqrt
 from typing import NamedTuple
@@ -17,8 +18,8 @@ from ....frozen import value_class
 from ....recording import Floats, Integers
 from ..batch import RigState, error_terms
 from ..solution import Solution
-from ..terms.assembly import TRIAD, taken_together
-from ..terms.inertial_data import InertialData, predicted_readings
+from ..terms.assembly import TRIAD, by_span, taken_together
+from ..terms.inertial_data import InertialData, InertialNoise, predicted_readings
 from ..trajectory import BIAS, POSE
 from .cluster_sums import bias_sides
 from .uncertainty import TriadMisfit, Uncertainty
@@ -168,23 +169,24 @@ def _products(solution: Solution) -> tuple[Floats, Floats, Floats, Floats]:
     border, own, pull = np.zeros((solution.layout.dense, count)), np.zeros(count), np.zeros(count)
     measured = replace(solution.measurements, visual=(), used=())
     for term in error_terms(measured, state, solution.layout, solution.noise, probing=False)[0]:
-        columns, imu, probes = term.columns, term.data.imu, _probes(term.data, solution)
+        columns, imu = term.columns, term.data.imu
         biases = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
+        probes, shapes = _probes(term.data, state, solution.noise.imus[imu])
         for part in taken_together(term):
-            rows, first = term.rows(part), term.first[part]
-            begins = np.flatnonzero(np.diff(first, prepend=-1))
-            spans = first[begins]
-            for number, k, axes, shape in probes:
-                of_triad = rows[:, TRIAD * number :][:, axes]
-                sums = np.add.reduceat(np.einsum("nr,nrw->nw", shape[part], of_triad), begins)
-                for a in range(grid.order):
-                    right[spans + a, :POSE, k] += sums[:, POSE * a : POSE * (a + 1)]
-                for knot in (0, 1):
-                    right[spans + grid.bias_offset + knot, biases, k] += sums[:, columns.bias(knot)]
-                for to, at in columns.pieces:
-                    border[to, k] += sums[:, at].sum(axis=0)
-                pull[k] += sums[:, columns.side].sum()
-                own[k] += np.vdot(shape[part], shape[part])
+            rows = term.rows(part)
+            shape = shapes(part, rows[:, :, columns.side])
+            spans, gathered = by_span(term.first[part], rows)
+            sums = by_span(term.first[part], shape)[1].transpose(0, 2, 1) @ gathered
+            for a in range(grid.order):
+                right[spans + a, :POSE, probes] += sums[:, :, POSE * a : POSE * (a + 1)].transpose(0, 2, 1)
+            for knot in (0, 1):
+                right[spans + grid.bias_offset + knot, biases, probes] += sums[:, :, columns.bias(knot)].transpose(
+                    0, 2, 1
+                )
+            for to, at in columns.pieces:
+                border[to, probes] += sums[:, :, at].sum(axis=0).T
+            pull[probes] += sums[:, :, columns.side].sum(axis=0)
+            own[probes] += np.einsum("nrk,nrk->k", shape, shape)
     return right, border, own, pull
 
 
@@ -196,26 +198,33 @@ def _linearised_at(solution: Solution) -> RigState:
     return RigState(trajectory=trajectory, parameters=solution.layout.plus(state.parameters, -solution.step.parameters))
 
 
-def _probes(data: InertialData, solution: Solution) -> list[tuple[int, int, slice, Floats]]:
-    """Return the triads' places in some readings, numbers of probes, their axes, and the probes in noises of a reading.
+def _probes(
+    data: InertialData, state: RigState, noise: InertialNoise
+) -> tuple[slice, Callable[[slice, Floats], Floats]]:
+    """Return which probes those of some readings are, and what tells them in noises of a reading, (n, 3 t, 4 t).
 
-    Of what the triad should have read, they are x'' (n, 3), and |x| of each axis (n, 1). The readings that tell x'' lie
-    whole knots apart: what a spline cannot follow repeats with the knots, and is in the residuals, too.
+    It is asked for some of the readings, with minus their residuals, (n, 3 t). Of what each of the t triads should have
+    read, they are x'', and |x| of each axis. The readings that tell x'' lie whole knots apart: what a spline cannot
+    follow repeats with the knots, and is in the residuals, too.
     """
-    state, noise = solution.state, solution.noise.imus[data.imu]
     spacing_s = state.trajectory.grid.spacing_s
     apart_s = spacing_s * ceil(_LEAST_APART_S / spacing_s - 1e-6)
-    before, at, after = (
+    before, after = (
         predicted_readings(state.trajectory, state.parameters, replace(data, t_s=data.t_s + shift_s))
-        for shift_s in (-apart_s, 0.0, apart_s)
+        for shift_s in (-apart_s, apart_s)
     )
-    found: list[tuple[int, int, slice, Floats]] = []
     triads = ((data.gyroscope, noise.gyroscope), (data.accelerometer, noise.accelerometer))
-    there = [(kind, triad, sigma) for kind, (triad, sigma) in enumerate(triads) if triad is not None]
-    for number, (kind, triad, sigma) in enumerate(there):
-        scale, first = (triad.used / sigma)[:, None], _PROBES * (2 * data.imu + kind)
-        bent = np.nan_to_num(before[kind] - 2 * at[kind] + after[kind]) * scale / apart_s**2
-        found.append((number, first, slice(TRIAD), bent))
-        size = np.abs(np.nan_to_num(at[kind])) * scale
-        found += [(number, first + 1 + i, slice(i, i + 1), size[:, i : i + 1]) for i in range(TRIAD)]
-    return found
+    there = [(kind, triad, triad.used / sigma) for kind, (triad, sigma) in enumerate(triads) if triad is not None]
+    first, axes = _PROBES * (2 * data.imu + there[0][0]), np.arange(TRIAD)
+
+    def shapes(part: slice, left: Floats) -> Floats:
+        found = np.zeros((*left.shape, _PROBES * len(there)))
+        for number, (kind, triad, weight) in enumerate(there):
+            own, scale = TRIAD * number + axes, weight[part, None]
+            at = triad.values[part] * scale - left[:, own]
+            bent = (before[kind][part] + after[kind][part]) * scale - 2 * at
+            found[:, own, _PROBES * number] = np.nan_to_num(bent) / apart_s**2
+            found[:, own, _PROBES * number + 1 + axes] = np.abs(at)
+        return found
+
+    return slice(first, first + _PROBES * len(there)), shapes

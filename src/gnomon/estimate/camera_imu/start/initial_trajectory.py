@@ -7,7 +7,6 @@ again where a rotation vector would come near a full turn from the segment's ref
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from ....errors import InitialisationError
 from ....frozen import value_class
@@ -15,6 +14,7 @@ from ....geometry.bspline import bspline_basis
 from ....geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ....geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrap_rotvecs
 from ....recording import Floats
+from ....solve.lapack import solve_banded
 from ..trajectory import BIAS, KnotGrid, Segment, Trajectory
 
 MARGIN_S = 0.1
@@ -186,4 +186,4 @@ def fitted_splines(position: Floats, values: Floats, spans: int, order: int) -> 
     for i in range(min(4, count)):
         for j in range(i, 4):
             banded[j - i, i : count - 3 + i] += third[i] * third[j]
-    return solveh_banded(banded, right, lower=True)
+    return solve_banded(banded, right)
