@@ -258,7 +258,7 @@ class BoardCoach:
             phase = "distance"
             advice = f"Go {'nearer, until the board fills the image' if nearer else 'farther away'}."
         elif (more := _VIEWS - len(self._views)) > 0:
-            phase, advice = "more", f"Go on, near and far, tilted to all sides; {more} more views."
+            phase, advice = "more", f"Go on, near and far, tilted to all sides; {more} more view{'s' * (more > 1)}."
         return {"phase": phase, "advice": advice}
 
     def _emptiest(self) -> str:
