@@ -166,7 +166,7 @@ class CameraSession:
             return replace(state, advice=said, bars=bars)
         more, said = _TOGETHER - len(self._together), self._joint.advice
         if more > 0:
-            said = f"Show the board to all cameras at once, in other places and tilted; {more} more view{'s' * (more > 1)}."
+            said = f"Show the board to all cameras at once, elsewhere and tilted; {more} more view{'s' * (more > 1)}."
         return replace(
             state,
             advice=said or "Go on: the cameras are calibrated together meanwhile.",
