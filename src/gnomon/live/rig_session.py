@@ -27,7 +27,7 @@ from .trials import TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LATER_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 30.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
-_STEADY, _STEADY_S = 0.1, 2.0  # by which two calibrations may differ, and how far apart they are at least [s]
+_STEADY, _STEADY_S = 0.05, 2.0  # by which calibrations may differ for each second between them; least seconds
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
@@ -100,7 +100,7 @@ class RigCoach(BoardCoach):
         super().__init__(target, camera)
         self._lens, self._motion = lens, motion
         self._tried_s = self._checked_s = self._asked_s = 0.0
-        self._again_s = _AGAIN_S
+        self._again_s, self._reached_s = _AGAIN_S, 0.0
         self._setup: tuple[Fault, ...] = ()
         self._foreseen: tuple[tuple[str, float], ...] = ()
 
@@ -141,7 +141,8 @@ class RigCoach(BoardCoach):
             super().take_outcome(outcome)
             before, self._foreseen = dict(self._foreseen), outcome.needs
             reached = self._confirmed and all(ratio <= 1 for _, ratio in outcome.needs)
-            steady = all(abs(before.get(name, 9.0) - ratio) <= _STEADY * ratio for name, ratio in outcome.needs)
+            change, self._reached_s = _STEADY * (self._tried_s - self._reached_s), self._tried_s
+            steady = all(abs(before.get(name, 9.0) - ratio) <= change * ratio for name, ratio in outcome.needs)
             self._confirmed = reached and (steady or was)  # what still changes predicts nothing
             self._again_s = _LATER_S if self._confirmed else _STEADY_S if reached else _AGAIN_S
 

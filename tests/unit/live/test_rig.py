@@ -114,8 +114,10 @@ def test_each_axis_is_asked_for_then_a_calibration_is_tried(waved):
         assert coach.wants_trial == wanted, "what a trial reads is bounded"
     coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 1.5),)))
     assert not show(coach, waved, 1, first=309).confirmed
+    coach._tried_s += 2.0
     coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 0.52),)))
     assert not show(coach, waved, 1, first=309).confirmed, "it may fall on"
+    coach._tried_s += 2.0
     coach.take_outcome(TrialOutcome(verdict="pass", needs=(("translation", 0.5),)))
     state = show(coach, waved, 1, first=309)
     assert state.confirmed
