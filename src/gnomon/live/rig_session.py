@@ -27,7 +27,7 @@ from .trials import TrialOutcome
 
 _SHORTEST_S, _AGAIN_S, _LATER_S, _LONGEST_S, _LAST_TRY_S = 30.0, 10.0, 30.0, 120.0, 1200.0
 _CHECK_S, _CHECK_TURNED_S, _CHECK_VIEWS = 0.5, 1.0, 30
-_STEADY, _STEADY_S = 0.05, 2.0  # by which calibrations may differ for each second between them; least seconds
+_STEADY, _STEADY_S = 0.1, 1.0  # by which calibrations may differ for each second between them; least seconds
 _CHECK_SHARE = 0.2  # of the recording so far, that passes until the next check
 _FAST_RAD_S, _STRONG_M_S2, _MOVED_S = 0.3, 1.0, 3.0
 _AFTER_S = 3.0  # until what was asked for last is done, and tells all that it can
