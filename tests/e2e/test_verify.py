@@ -257,6 +257,35 @@ def test_a_magnetometer_beside_new_iron_is_named():
     assert (block.path, block.change.quantity) == ("imu0.magnetometer.bias", "heading")
 
 
+def test_a_verification_starts_from_the_calibration_and_ends_where_one_without_does():
+    field = gnomon.FieldScenario(sensor_seed=2)
+    first, second = (gnomon.simulate_magnetometer(field, seed)[0] for seed in (2, 902))
+    calibration = gnomon.calibrate_magnetometer(first).calibration
+    wrong = changed(calibration, magnetometer=lambda triad: {"bias": triad.bias + np.array([2.0, 0, 0])})
+    # how much a shaken pose of the accelerometer counts follows from where its fit starts, and the common frame from it
+    agree(gnomon.verify(wrong, second), gnomon.verify(wrong, gnomon.calibrate_magnetometer(second)), within=1.0)
+
+
+@pytest.mark.long
+def test_a_rig_is_verified_from_its_calibration_as_without():
+    scenario = CameraImuScenario(duration_s=30.0, sensor_seed=3)
+    first, second = (simulate_camera_imu(scenario, seed) for seed in (3, 903))
+    calibration = gnomon.calibrate_camera_imu(first.recording, first.target).calibration
+    fresh = gnomon.calibrate_camera_imu(second.recording, second.target)
+    agree(gnomon.verify(calibration, second.recording, second.target), gnomon.verify(calibration, fresh))
+    camera = calibration.cameras["cam0"]
+    wrong = replace(calibration, cameras={"cam0": replace(camera, time_shift_cam_imu=camera.time_shift_cam_imu + 0.5)})
+    agree(gnomon.verify(wrong, second.recording, second.target), gnomon.verify(wrong, fresh))  # too far to start there
+
+
+def agree(one, other, within=0.2):
+    """Check that two verifications say the same, sizes within a share of a sigma."""
+    assert [(block.path, block.state) for block in one.blocks] == [(block.path, block.state) for block in other.blocks]
+    for a, b in zip(one.blocks, other.blocks, strict=True):
+        assert np.all(np.abs(a.values - b.values) < within * b.sigma), a.path
+        np.testing.assert_allclose(a.sigma, b.sigma, rtol=within)
+
+
 @pytest.mark.long
 def test_a_lens_is_verified_by_cameras_alone():
     scenario = gnomon.CamerasScenario()

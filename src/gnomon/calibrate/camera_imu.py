@@ -5,6 +5,7 @@ prepare -> find the board's poses -> align clocks and axes -> first trajectory -
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -48,6 +49,7 @@ from ..estimate.camera_imu.result.uncertainty import (
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
+from ..estimate.trust.changes import grave_findings, postpone_search
 from ..findings import Finding
 from ..models.frames import EVEN_WEIGHTS
 from ..models.target import Target
@@ -196,7 +198,9 @@ def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) ->
     except InitialisationError as error:
         refuse_clock_jumps(prepared, recording.cameras, target, streams)
         raise InitialisationError(f"{error}{likely_cause(prepared.findings)}") from error
-    prepared = with_looks(prepared, found, target, streams, beside)
+    looked = partial(with_looks, prepared, found, target, streams, beside)
+    if not postpone_search(lambda: grave_findings(looked().findings[len(prepared.findings) :])):
+        prepared = looked()
     return RigBeforehand(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
 
 

@@ -35,7 +35,7 @@ from ..estimate.multiposition.scaling import (
     with_runs,
 )
 from ..estimate.multiposition.unseen_changes import unseen_changes
-from ..estimate.trust.changes import estimates_are_judged
+from ..estimate.trust.changes import estimates_are_judged, look_or_postpone
 from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
@@ -202,7 +202,7 @@ def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions
         course=changes,
         reference_degc=reference,
         lag_s=lag_s,
-        noticed=axes_changed_findings(whole),
+        noticed=look_or_postpone(lambda: axes_changed_findings(whole)),
     )
 
 

@@ -19,7 +19,7 @@ from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
 from ..estimate.triads.blocks import TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
-from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise
+from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise, usual_distance
 from ..estimate.triads.known_attitudes import GravityFit, fit_gravity, force_at
 from ..estimate.triads.magnetometer import (
     MagnetometerFit,
@@ -27,8 +27,9 @@ from ..estimate.triads.magnetometer import (
     stray_samples,
     with_soft_iron_unknown,
 )
-from ..estimate.triads.triad_start import Ellipsoid
+from ..estimate.triads.triad_start import Ellipsoid, near_ellipsoid
 from ..estimate.triads.triad_trust import field_trust
+from ..estimate.trust.changes import start_of_estimates
 from ..findings import Finding, make_finding
 from ..frozen import value_class
 from ..models.frames import frame_rotation, rotation_jacobian
@@ -115,7 +116,7 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
             f"{int((~usable).sum())} of {len(usable)} samples of the magnetometer stand at the end of its range. "
             "Set a wider range, or go farther away from iron and magnets."
         )
-    shape, usual = _rough(magnetometer.values[usable])
+    shape, usual = _rough(magnetometer.values[usable], None if (near := _near()) is None else near.magnetometer)
     return PreparedField(
         magnetometer=magnetometer,
         t_s=t_s,
@@ -127,6 +128,12 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
         findings=(*findings, *more),
         thermometer=imu.temperature if rose_and_fell(imu.temperature) else None,
     )
+
+
+def _near() -> ImuCalibration | None:
+    """Return the sensors from which iterations start, where an estimate alone is wanted."""
+    start = start_of_estimates()
+    return None if start is None else next(iter(start.imus.values()), None)
 
 
 def _checked(samples: TriadSamples, label: str) -> list[Finding]:
@@ -154,7 +161,7 @@ def _usable_accelerometer(samples: TriadSamples, label: str) -> tuple[TriadSampl
     return None, [replace(wrong[0], severity="warning", consequence=consequence)]
 
 
-def _rough(values: Floats) -> tuple[Ellipsoid, float]:
+def _rough(values: Floats, known: MagnetometerCalibration | None = None) -> tuple[Ellipsoid, float]:
     low, high = np.quantile(values, (0.01, 0.99), axis=0)
     if float((high - low).max()) < _STILL * float(sample_noise(values).max()):
         raise DetectionError(
@@ -171,6 +178,10 @@ def _rough(values: Floats) -> tuple[Ellipsoid, float]:
             f"the magnetometer was turned about one axis only, most likely {axis}: all it measured lies in one plane. "
             f"Turn it about the other axes too, so that {axis} points along the field and against it."
         )
+    if known is not None:
+        near = near_ellipsoid(values, np.ones(len(values)), known.sensitivity, known.bias)
+        if near is not None:
+            return near, usual_distance(values, near)
     found = rough_ellipsoid(values)
     if found is None:
         raise DetectionError(
@@ -350,14 +361,15 @@ def _fit_models(prepared: PreparedField, options: MagnetometerOptions, known: Pr
             "model hard-iron has one scale and takes no prior. Leave the prior out, or take --model full."
         )
     samples = prepared.magnetometer.values
+    near = _near() is not None
     poses = field_poses(prepared.t_s, samples, prepared.usable, shape)
-    fit = fit_magnetometer(poses, shape, usual, field=field, prior=prior)
+    fit = fit_magnetometer(poses, shape, usual, field=field, prior=prior, near=near)
     stray = stray_samples(samples, poses.noise, fit) & prepared.usable
     if stray.any():
         poses = field_poses(prepared.t_s, samples, prepared.usable & ~stray, shape)
-        fit = fit_magnetometer(poses, shape, usual, field=field, prior=prior)
+        fit = fit_magnetometer(poses, shape, usual, field=field, prior=prior, near=near)
     rivals: dict[str, MagnetometerFit] = {"full": fit}
-    if options.model != "full" and prior is None:
+    if options.model != "full" and prior is None and not near:
         rivals["hard-iron"] = fit_magnetometer(poses, shape, usual, field=field, model="hard-iron")
         if options.model == "hard-iron":
             fit = rivals["hard-iron"] = with_soft_iron_unknown(rivals["hard-iron"], rivals["full"])
@@ -374,9 +386,17 @@ def _beside_accelerometer(
     t_s = prepared.t_s
     force = force_at(prepared.accelerometer_t_s, accelerometer.values, t_s[poses.start], t_s[poses.stop - 1])
     prior = known.triad_prior("accelerometer", own_frame=True)
-    noise = sample_noise(accelerometer.values)
+    near = _near()
     try:
-        up = fit_gravity(poses.t_s, force, poses.length, noise=noise, gravity_m_s2=gravity_m_s2, prior=prior)
+        up = fit_gravity(
+            poses.t_s,
+            force,
+            poses.length,
+            noise=sample_noise(accelerometer.values),
+            gravity_m_s2=gravity_m_s2,
+            prior=prior,
+            known=None if near is None else near.accelerometer,
+        )
     except InitialisationError:
         return None, None
     used = up.used & fit.used

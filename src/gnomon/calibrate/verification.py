@@ -87,7 +87,7 @@ def _by_recording(  # noqa: PLR0917
     progress: Progress | None,
 ) -> Verification:
     with suppress(GnomonError, np.linalg.LinAlgError):
-        with estimates_alone() as postponed:
+        with estimates_alone(known if isinstance(known, Calibration) else None) as postponed:
             quick = _held_against(frozen, *_estimated(known, frozen, recording, target, progress), use)
         if quick.state == "holds" or (quick.state == "moved" and not any(search() for search in postponed)):
             return quick

@@ -132,9 +132,12 @@ def days_of(entries: Sequence[LibraryEntry]) -> Floats:
 
 def _without_doubles(entries: Sequence[LibraryEntry]) -> tuple[list[int], list[Finding]]:
     """Return the rows that hold each recording once, its newest result, and findings where two serials share one."""
+    keys = [entry.digests or entry.values.tobytes() for entry in entries]
+    if len(set(keys)) == len(keys):
+        return [*range(len(keys))], []
     of: dict[object, list[int]] = {}
-    for index, entry in enumerate(entries):
-        of.setdefault(entry.digests or entry.values.tobytes(), []).append(index)
+    for index, key in enumerate(keys):
+        of.setdefault(key, []).append(index)
     kept, found = list[int](), list[Finding]()
     for rows in of.values():
         if len(rows) == 1:
@@ -204,6 +207,7 @@ class _Devices:
         self.table, self.rows = table, rows
         self.limit = normal_limit(CHANCE / max(table.values.size, 1))
         self._known: dict[int, Population] = {}
+        self._weighted: dict[int, tuple[Floats, Floats]] = {}
 
     def population(self, k: int) -> Population:
         if k not in self._known:
@@ -214,14 +218,18 @@ class _Devices:
 
     def weighted(self, k: int) -> tuple[Floats, Floats]:
         """Return values of a scalar, drawn in to the limits of the population, and their variances about its mean."""
-        known = self.population(k)
-        variances = known.spread**2 + self.table.sigmas[self.rows, k] ** 2
-        reach = normal_limit(CHANCE / max(len(self.rows), 1)) * np.sqrt(variances)
-        return np.clip(self.table.values[self.rows, k], known.mean - reach, known.mean + reach), variances
+        if k not in self._weighted:
+            known = self.population(k)
+            variances = known.spread**2 + self.table.sigmas[self.rows, k] ** 2
+            reach = normal_limit(CHANCE / max(len(self.rows), 1)) * np.sqrt(variances)
+            drawn_in = np.clip(self.table.values[self.rows, k], known.mean - reach, known.mean + reach)
+            self._weighted[k] = drawn_in, variances
+        return self._weighted[k]
 
     def take_off(self, rows: Sequence[int] | slice, k: int, offset: float | Floats) -> None:
         self.table.values[rows, k] -= offset
-        self._known.pop(k, None)
+        for found in (self._known, self._weighted):
+            found.pop(k, None)
 
 
 def _station_offsets(devices: _Devices, pairs: Integers) -> list[tuple[int, GroupOffset]]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from ...detect.boards.board import BoardView, tag_spacing
+from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...models.target import Target
 from ...recording import CameraFrames, ImuSamples, Integers, Recording
@@ -82,8 +83,12 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     findings = [_count(name, frames, seen, target)]
     if findings[0].severity == "problem":
         return findings + check_images(name, frames, seen.frame[seen.usable])  # they may tell why
+    return findings + look_or_postpone(lambda: _check_frames(name, frames, seen, target))
+
+
+def _check_frames(name: str, frames: CameraFrames, seen: BoardSightings, target: Target) -> list[Finding]:
     usable = frames.t_ns[seen.frame[seen.usable]]
-    findings += _repeated(name, frames)
+    findings = _repeated(name, frames)
     findings += _useless(name, seen)
     findings += check_handedness(name, frames, seen.frame[seen.usable], target)
     size = check_image_size(name, frames, seen.frame[seen.usable], target)

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from ...detect.samples.threshold import RestDetection
+from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
@@ -276,12 +277,12 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
     if both:
         looks += [
             lambda: check_signal(gyroscope, labels[1], accelerometer),
-            lambda: check_vibration(accelerometer, gyroscope, name),
+            lambda: look_or_postpone(lambda: check_vibration(accelerometer, gyroscope, name)),
             lambda: check_lost_samples(gyroscope, labels[1]),
         ]
     timed = all(np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope) if len(triad) > 1)
     if timed and not np.equal(*axis_extremes(accelerometer.values)).all():
-        looks += [lambda: check_triad_clocks(imu, name)] * both
+        looks += [lambda: look_or_postpone(lambda: check_triad_clocks(imu, name))] * both
         looks += [lambda: check_protocol(imu, name, find_rests(imu))]
     return [finding for look in tell_parts("checking the recording", looks, len(looks)) for finding in look()]
 

@@ -12,7 +12,7 @@ from ...estimate.camera_imu.batch import Measurements, RigState
 from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances
 from ...estimate.camera_imu.knots import knots_per_s, with_tied_biases
 from ...estimate.camera_imu.layout import Status, border_layout
-from ...estimate.camera_imu.parameters import ImuParameters, RigParameters
+from ...estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from ...estimate.camera_imu.result.bias_temperature import biases_along, control_times
 from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import GATE, Solution, minimise_cost
@@ -32,21 +32,24 @@ from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...estimate.camera_imu.trajectory import BIAS
 from ...estimate.multiposition.bias_changes import DECAYS
 from ...estimate.multiposition.bias_segments import BENDS_K, WEAK_LAG_S
+from ...estimate.trust.changes import start_of_estimates
 from ...findings import Finding
 from ...frozen import value_class
+from ...geometry.rotation_vector import rotvec_from_rotation
 from ...options import CameraImuOptions
 from ...options.requirements import USUAL_SLOPE
 from ...progress import Progress
 from ...recording import Floats, Recording
 from ...recording.thermometer import TemperatureCourse, temperature_course
-from ...results.calibration import Calibration, Gravity
+from ...results.calibration import Calibration, CameraCalibration, Gravity
 from ...results.sensors import TemperatureDependence
 from .camera_imu_model import candidate_blocks, proven_board
-from .camera_imu_preparation import PreparedCameraImu
+from .camera_imu_preparation import PreparedCameraImu, evidence_of_imu, imu_of
 from .temperature_while_turned import rose_and_fell, temperature_powers
 
 _HUBER = 2.5
 _RESTARTS = 3
+_SAME_SHIFT_S, _SAME_TURN_RAD = 0.01, 0.05  # from the alignment, of a start by another calibration
 _LIKELY = 1e-5
 """Probability by chance below which a bias follows the temperature."""
 
@@ -87,7 +90,9 @@ def estimate_rig(
     added : names of blocks beyond that model, such as "intrinsics"
     """
     prepared, found = rig.prepared, rig.looks
-    parameters = _first_parameters(rig, gravity, options, known)
+    parameters, stream = _first_parameters(rig, gravity, options, known), rig.streams[0]
+    if (near := start_of_estimates()) is not None and len(rig.streams) == 1:
+        parameters, stream = _nearer(parameters, stream, near, gravity)
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
     noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
     knots = options.knots_per_s or knots_per_s(*triad_readings(prepared.inertial), rate_hz=_supporting_hz(prepared))
@@ -95,7 +100,7 @@ def estimate_rig(
     solution: Solution | None = None
     start = parameters
     for _ in range(_RESTARTS):
-        state = first_state(found, parameters, rig.streams[0], knots, order=options.spline_order, others=biases)
+        state = first_state(found, parameters, stream, knots, order=options.spline_order, others=biases)
         if options.noise != "coloured" and not options.marginals:  # these ask for biases at every knot
             rates_hz = [imu.rates_hz for imu in prepared.imus]
             state = replace(state, trajectory=with_tied_biases(state.trajectory, noise, rates_hz))
@@ -118,6 +123,7 @@ def estimate_rig(
             max_iterations=options.max_iterations,
             tell=tell,
             proves=lambda found: proven_board(found, options),
+            near=near is not None,
         )
         moved = solution.state.parameters
         if _largest_move(moved, state.parameters) < MARGIN_S / 2 or not solution.converged:
@@ -154,6 +160,28 @@ def _first_parameters(
         ]
         parameters = replace(parameters, imus=tuple(placed))
     return replace(parameters, rig=rig.recording.rig)
+
+
+def _nearer(
+    parameters: RigParameters, stream: ImuStream, known: Calibration, gravity: Gravity
+) -> tuple[RigParameters, ImuStream]:
+    """Return the first parameters, or those of a calibration where they agree, and forces without its bias."""
+    cameras = [_nearer_camera(entry, known.cameras.get(entry.name)) for entry in parameters.cameras]
+    parameters = replace(parameters, cameras=tuple(cameras))
+    found = evidence_of_imu(known, gravity, "imu0", first=True)
+    imu = imu_of(found)
+    errors = {name: getattr(imu, name) for name in ("S_a", "M_a", "S_g", "M_g", "C_bg", "B_g")}
+    parameters = replace(parameters, imus=(replace(parameters.imus[0], **errors),))
+    return parameters, replace(stream, force=stream.force - found.value[9:12])
+
+
+def _nearer_camera(entry: CameraParameters, known: CameraCalibration | None) -> CameraParameters:
+    if known is None or abs(known.time_shift_cam_imu - entry.time_shift_s) > _SAME_SHIFT_S:
+        return entry
+    R, p = known.T_cam_body[:3, :3], known.T_cam_body[:3, 3]
+    if np.linalg.norm(rotvec_from_rotation(R.T @ entry.R_cam_imu)) > _SAME_TURN_RAD:
+        return entry
+    return replace(entry, R_cam_imu=R, p_cam_imu=p, time_shift_s=known.time_shift_cam_imu)
 
 
 def _delay(rig: RigBeforehand, number: int) -> float:

@@ -37,6 +37,7 @@ from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cos
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
+from ...estimate.trust.changes import postpone_search
 from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters, leave_clusters_out
 from ...findings import Finding
 from ...frozen import value_class
@@ -209,6 +210,8 @@ def select_model(
     """
     share = 0.0 if own_detector else _LENS_SHARE
     stated = _stated(solution, options)
+    if _BOARD not in stated and postpone_search(lambda: [step for step in [_board_step(solution)] if step.used]):
+        stated[_BOARD] = False
     base = cache(lambda: _judged(solution, stated, share))
     steps = {} if _BOARD in stated else {_BOARD: solution.proven or _board_step(solution)}
     asked, may_have_k3 = _asked(steps, stated), "k3" not in stated and _may_have_k3(solution)

@@ -88,6 +88,11 @@ def known_imu(found: Prior) -> ImuParameters | None:
     return replace(start, covariance=jacobian @ covariance @ jacobian.T)
 
 
+def imu_of(found: Prior) -> ImuParameters:
+    """Return the IMU as it is known, without what is known of it."""
+    return _letters(found.value)[0]
+
+
 def cameras_moved(solution: Solution, certain: Uncertainty) -> list[Finding]:
     """Return whether the recording contradicts what was known of the cameras together, lenses and poses."""
     layout, parameters = solution.layout, solution.state.parameters

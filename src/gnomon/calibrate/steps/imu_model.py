@@ -147,7 +147,9 @@ def choose_model(
     largest = leave_one_out(fit)
     if taken == "basic":
         fit = fitted(g_sensitivity=False, before=fit)
-    rivals = {"basic": leave_one_out(fit, g_sensitivity=False), "g-sensitivity": largest}
+    rivals = {"g-sensitivity": largest}
+    if judged or taken == "basic":
+        rivals["basic"] = leave_one_out(fit, g_sensitivity=False)
     return ChosenModel(fit=fit, heldout=rivals[taken], rivals=rivals, steps=steps)
 
 

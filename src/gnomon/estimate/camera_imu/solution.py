@@ -30,7 +30,7 @@ GATE = 4.0
 """A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""
 
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
-_SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
+_SETTLED, _SETTLED_NEAR = 5e-3, 0.02  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
 _AT_REST = 0.1  # sigmas that anything may be left after the step, as the last two steps foretell;
 _WIDE_AT_REST = 0.5  # with the corners of a board, whose errors make sigmas of independent errors too small by far
@@ -118,6 +118,7 @@ def minimise_cost(
     workspace: Workspace | None = None,
     before: tuple[float, float] | None = None,
     proves: Callable[[Solution], ModelStep | None] = lambda _: None,
+    near: bool = False,
 ) -> Solution:
     """Minimise the cost from a start.
 
@@ -132,6 +133,7 @@ def minimise_cost(
     tell, stage : called with how far this stage is
     before : largest and length of the step that led to the start, by equations with the columns of `extended`
     proves : asked near the minimum, once noise levels and frames are roughly known: for which step to pause there
+    near : whether it starts so near that the second step is the last, with levels that are roughly known
 
     Raises
     ------
@@ -149,7 +151,7 @@ def minimise_cost(
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         _tell_iteration(tell, stage, done, step.largest)
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
-            settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
+            settled = step.largest < _NEAR and step.decrease < (_SETTLED_NEAR if near else _SETTLED) * lin.cost
             judgements += settled
             judged = _judged(
                 measurements,
@@ -160,7 +162,7 @@ def minimise_cost(
                 estimate_noise=estimate_noise,
                 estimate_walks=estimate_walks,
                 gate=gate and settled and judgements <= _JUDGEMENTS,
-                tolerance=_NOISE_AT_REST if settled else _NOISE_ROUGHLY,
+                tolerance=_NOISE_AT_REST if settled and not near else _NOISE_ROUGHLY,
             )
             found = judged.found
             at_rest = settled and judged.same and _left(step, length) < rest  # noise was judged by the strict measure

@@ -136,8 +136,13 @@ def rough_ellipsoid(values: Floats) -> tuple[Ellipsoid, float] | None:
         size = np.abs(_distance(m, found))
         limit = float(np.median(size)) * (1.0 if step < _CONCENTRATIONS else _GATE * _MAD)
         found = _ellipsoid(m[size <= limit], certain=True) or found
-    usual = _MAD * float(np.median(np.abs(_distance(m, found))))
+    usual = usual_distance(m, found)
     return Ellipsoid(correction=found.correction / spread, bias=centre + spread * found.bias), usual
+
+
+def usual_distance(m: Floats, shape: Ellipsoid) -> float:
+    """Return the standard deviation of |x| - 1 of most samples (n, 3)."""
+    return _MAD * float(np.median(np.abs(_distance(m, shape))))
 
 
 def _of_least_median(m: Floats) -> Ellipsoid | None:

@@ -13,10 +13,12 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
+from ...results.calibration import AccelerometerCalibration
 from ...results.result import Booleans
 from .blocks import Stage, by_direction
 from .triad import TriadFit, fit_triad
 from .triad_poses import TriadPoses, TriadPrior
+from .triad_start import near_ellipsoid
 
 _SHORTEST_S = 0.04
 _NEAR_S, _AROUND_S = 0.4, 1.0
@@ -57,7 +59,14 @@ def force_at(t_s: Floats, values: Floats, start_s: Floats, stop_s: Floats) -> Fl
 
 
 def fit_gravity(
-    t_s: Floats, measured: Floats, length: Floats, *, noise: Floats, gravity_m_s2: float, prior: TriadPrior | None
+    t_s: Floats,
+    measured: Floats,
+    length: Floats,
+    *,
+    noise: Floats,
+    gravity_m_s2: float,
+    prior: TriadPrior | None,
+    known: AccelerometerCalibration | None = None,
 ) -> GravityFit:
     """Fit the accelerometer to the magnitude of gravity; poses in the middle of accelerations count little.
 
@@ -69,6 +78,7 @@ def fit_gravity(
     noise : (3,) of a sample [unit]
     gravity_m_s2 : its magnitude
     prior : what is known of the accelerometer
+    known : where iterations start, if it is near
 
     Raises
     ------
@@ -77,11 +87,18 @@ def fit_gravity(
     """
     variance = np.maximum(noise, 1e-12) ** 2
     magnitude = gravity_m_s2 * length
-    triad = fit_triad(TriadPoses.of(measured, magnitude, variance=variance), prior=prior)
-    unrest = _unrest(t_s, np.linalg.norm(triad.physical(measured), axis=1) - magnitude)
-    shaken = unrest[:, None] ** 2 * np.sum(triad.sensitivity**2, axis=1)  # a hand accelerates along all axes
+    start = None
+    if known is not None and prior is None:
+        start = near_ellipsoid(measured, magnitude, known.sensitivity, known.bias)
+    if start is None:
+        triad = fit_triad(TriadPoses.of(measured, magnitude, variance=variance), prior=prior)
+        sensitivity, force = triad.sensitivity, triad.physical(measured)
+    else:
+        sensitivity, force = invert_matrix(start.correction), (measured - start.bias) @ start.correction.T
+    unrest = _unrest(t_s, np.linalg.norm(force, axis=1) - magnitude)
+    shaken = unrest[:, None] ** 2 * np.sum(sensitivity**2, axis=1)  # a hand accelerates along all axes
     data = TriadPoses.of(measured, magnitude, variance=variance + shaken)
-    triad = fit_triad(data, prior=prior)
+    triad = fit_triad(data, prior=prior, start=start)
     force = triad.physical(measured)
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     correction = invert_matrix(triad.sensitivity)

@@ -124,6 +124,7 @@ def fit_magnetometer(
     field: float = 1.0,
     model: MagnetometerModel = "full",
     prior: TriadPrior | None = None,
+    near: bool = False,
 ) -> MagnetometerFit:
     """Fit hard and soft iron.
 
@@ -134,25 +135,29 @@ def fit_magnetometer(
     field : strength of the field [uT, or 1]
     model : offset and one scale, or every entry of the sensitivity
     prior : what is known of the magnetometer from elsewhere; of the full model
+    near : whether iterations start from the rough ellipsoid
 
     Raises
     ------
     InitialisationError
         If the poses do not surround an ellipsoid.
     """
-    near = np.abs(np.linalg.norm((poses.measured - shape.bias) @ shape.correction.T, axis=1) - 1)
-    used = near <= _FAR * max(usual, 1e-6)
-    iron = _ellipsoid(poses, used, field, prior) if model == "full" else _sphere(poses, used, field, shape)
+    distance = np.abs(np.linalg.norm((poses.measured - shape.bias) @ shape.correction.T, axis=1) - 1)
+    used = distance <= _FAR * max(usual, 1e-6)
+    start = Ellipsoid(correction=field * shape.correction, bias=shape.bias) if near and prior is None else None
+    iron = _ellipsoid(poses, used, field, prior, start) if model == "full" else _sphere(poses, used, field, shape)
     return _with_blocks(poses, iron, field, model)
 
 
-def _ellipsoid(poses: FieldPoses, used: Booleans, field: float, prior: TriadPrior | None) -> HardSoftIron:
+def _ellipsoid(
+    poses: FieldPoses, used: Booleans, field: float, prior: TriadPrior | None, start: Ellipsoid | None
+) -> HardSoftIron:
     data = TriadPoses.of(poses.measured[used], field * poses.length[used], variance=poses.variance[used])
-    triad = fit_triad(data, prior=prior)
+    triad = fit_triad(data, prior=prior, start=start)
     typical = triad.extra_sigma
     extra = typical * _longer_stay(poses.samples)
     if typical > 0:
-        triad = fit_triad(replace(data, magnitude_sigma=extra[used]), prior=prior)
+        triad = fit_triad(replace(data, magnitude_sigma=extra[used]), prior=prior, start=start)
         extra = np.hypot(extra, triad.extra_sigma)
     used = used.copy()
     used[used] = triad.used

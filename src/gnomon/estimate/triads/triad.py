@@ -28,7 +28,7 @@ from .triad_solve import (
     weak_sigma,
     with_weak_prior,
 )
-from .triad_start import ENOUGH, START_VARIANCE, check_determined, first_fit
+from .triad_start import ENOUGH, START_VARIANCE, Ellipsoid, check_determined, first_fit, start_at
 
 _GATINGS = 5
 _HELD = 0.3  # posterior sigma over that of the weak prior beyond which a parameter is the prior's
@@ -135,7 +135,7 @@ def fit_triad(
     unknown_scale: bool = False,
     prior: TriadPrior | None = None,
     robust: bool = True,
-    start: Floats | None = None,
+    start: Floats | Ellipsoid | None = None,
 ) -> TriadFit:
     """Fit one triad to the magnitudes, and the directions where they are known, of what it measured.
 
@@ -147,7 +147,7 @@ def fit_triad(
     prior : what is known from elsewhere
     robust : leave out poses that lie far outside what the others show
     start : (9,) angles [rad], bias [unit] and scale [SI/unit] of Angrisano, Eq. (3), from which to start instead of
-        the closed form (a study of convergence wants it; there is no other reason)
+        the closed form (a study of convergence wants it); or an ellipsoid that is certainly near, of the magnitudes
 
     Raises
     ------
@@ -161,10 +161,14 @@ def fit_triad(
     scaling = TriadScaling.of(poses)
     problem = scaled_problem(poses, scaling, prior, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale)
     check_determined(problem, prior)
-    first = first_fit(problem, scaling, prior, start, robust=robust)
-    around = first.theta
+    near = isinstance(start, Ellipsoid)
+    if near:
+        around, iterations = start_at(start, scaling, len(problem.free)), 0
+    else:
+        first = first_fit(problem, scaling, prior, start, robust=robust)
+        around, iterations = first.theta, first.iterations
     problem = with_weak_prior(problem, around)
-    point, extra, used = _fitted(problem, first, robust=robust)
+    point, extra, used = _fitted(problem, around, robust=robust, rough=near)
     linear = covariance_at(problem, point.theta, point.noise, used)
     covariance = np.zeros((len(problem.free),) * 2)
     covariance[np.ix_(problem.free, problem.free)] = linear.covariance
@@ -197,7 +201,7 @@ def fit_triad(
         degrees_of_freedom=linear.redundancy,
         cost=point.cost,
         converged=point.converged,
-        iterations=first.iterations + point.iterations,
+        iterations=iterations + point.iterations,
         lines=_lines(problem, theta, linear, used, turn),
     )
 
@@ -216,25 +220,25 @@ def _lines(problem: TriadProblem, theta: Floats, linear: Linear, used: Booleans,
     )
 
 
-def _fitted(problem: TriadProblem, first: Minimum, *, robust: bool) -> tuple[Minimum, float, Booleans]:
+def _fitted(problem: TriadProblem, theta: Floats, *, robust: bool, rough: bool) -> tuple[Minimum, float, Booleans]:
     """Return the minimum, the extra variance and the poses used.
 
     Robust noise levels show outliers; noise levels without them weigh the rest.
     """
-    used, extra, theta = np.ones(len(problem.measured), dtype=bool), 0.0, first.theta
+    used, extra = np.ones(len(problem.measured), dtype=bool), 0.0
     if robust:
         extra = extra_variance(problem, theta, used, START_VARIANCE, robust=True)
         if len(used) <= ENOUGH:  # more are not bent by a few, and the start had as many
             theta = irls(problem, theta, extra).theta
             extra = extra_variance(problem, theta, used, extra, robust=True)
         used = gate_outliers(problem, theta, used, extra, known=extra == 0)
-    point, extra = fit_extra_variance(problem, theta, used, extra)
+    point, extra = fit_extra_variance(problem, theta, used, extra, rough=rough)
     for _ in range(_GATINGS if robust else 0):  # what the settled level explains comes back
         again = gate_outliers(problem, point.theta, used, extra, known=extra == 0)
         if np.array_equal(again, used):
             break
         used = again
-        point, extra = fit_extra_variance(problem, point.theta, used, extra)
+        point, extra = fit_extra_variance(problem, point.theta, used, extra, rough=rough)
     return point, extra, used
 
 

@@ -24,7 +24,7 @@ WEAK = 0.3  # sigma of the weak prior: of a scale, of the largest reading, and o
 _REWEIGHTINGS = 10
 _SAME_WEIGHT = 0.02
 _SETTLINGS = 8
-_SAME_VARIANCE = 0.01
+_SAME_VARIANCE = (0.01, 0.03)  # and roughly
 _SUSPICIOUS = 1.5  # times sqrt(2 log n) times the median size, which is where the largest of n should be
 _GATE_SIGMA = 5.0
 _GATE = {1: _GATE_SIGMA**2, 3: 32.0}  # square sum of one and of three residuals, equally improbable
@@ -348,17 +348,20 @@ def _matching_variance(squares: Floats, variance: Floats, redundancy: float) -> 
     return extra
 
 
-def fit_extra_variance(problem: TriadProblem, theta: Floats, used: Booleans, extra: float) -> tuple[Minimum, float]:
+def fit_extra_variance(
+    problem: TriadProblem, theta: Floats, used: Booleans, extra: float, *, rough: bool
+) -> tuple[Minimum, float]:
     """Return minimum and extra variance that belong together."""
     weight = used.astype(np.float64)
-    theta = minimise_from(problem, theta, noise_at(problem, theta, extra), weight, rough=True).theta
-    point = minimise_from(problem, theta, noise_at(problem, theta, extra), weight)
+    point = minimise_from(problem, theta, noise_at(problem, theta, extra), weight, rough=True)
+    if not rough:
+        point = minimise_from(problem, point.theta, noise_at(problem, point.theta, extra), weight)
     iterations = point.iterations
     for _ in range(_SETTLINGS):
         old, extra = extra, extra_variance(problem, point.theta, used, extra, robust=False)
-        if abs(extra - old) <= _SAME_VARIANCE * max(extra, old):
+        if abs(extra - old) <= _SAME_VARIANCE[rough] * max(extra, old):
             return replace(point, iterations=iterations), old
-        point = minimise_from(problem, point.theta, noise_at(problem, point.theta, extra), weight)
+        point = minimise_from(problem, point.theta, noise_at(problem, point.theta, extra), weight, rough=rough)
         iterations += point.iterations
     return replace(point, iterations=iterations), extra
 

@@ -108,6 +108,30 @@ def from_quadric(quadric: Floats, bias: Floats, largest_ratio: float = _LARGEST_
     return Ellipsoid(correction=upper[::-1, ::-1], bias=bias)  # quadric = C'C with lower triangular C
 
 
+def near_ellipsoid(m: Floats, w: Floats, sensitivity: Floats, bias: Floats) -> Ellipsoid | None:
+    """Return the ellipsoid of a sensor that is known, in the size of measurements (n, 3) of magnitudes w (n,).
+
+    None where they do not lie near it.
+    """
+    correction = invert_matrix(sensitivity)
+    found = from_quadric(correction.T @ correction, bias)
+    if found is None:
+        return None
+    length = np.linalg.norm((m - bias) @ correction.T, axis=1) / w
+    size = float(np.median(length))
+    if not float(np.median(np.abs(length - size))) < _GOOD * size:
+        return None
+    return Ellipsoid(correction=found.correction / size, bias=bias)
+
+
+def start_at(shape: Ellipsoid, scaling: TriadScaling, size: int) -> Floats:
+    """Return the scaled parameters (21 + p,) of an ellipsoid, in the triad's own frame."""
+    theta, parameters = np.zeros(size), np.zeros(PARAMETERS)
+    parameters[S_], parameters[B_] = invert_matrix(shape.correction).ravel(), shape.bias
+    theta[:PARAMETERS] = (parameters - scaling.shift) / scaling.turn
+    return theta
+
+
 def most_errors(problem: TriadProblem, theta: Floats) -> float:
     """Return the mean of | |x| - w | over the better part of the poses, in which bad ones should not be.
 
@@ -299,14 +323,10 @@ def _stated(start: Floats, scaling: TriadScaling, size: int) -> Floats:
     """Return the scaled parameters of Angrisano's nine (Eq. 3), with positive scales, in the triad's own frame."""
     x, y, z = start[:3]
     correction = np.array([[1, z, y], [0, 1, x], [0, 0, 1]]) * start[6:]
-    theta = np.zeros(size)
     found = from_quadric(correction.T @ correction, start[3:6], np.inf)
     if found is None:
         raise InitialisationError("a start needs scales other than zero.")
-    parameters = np.zeros(PARAMETERS)
-    parameters[S_], parameters[B_] = invert_matrix(found.correction).ravel(), found.bias
-    theta[:PARAMETERS] = (parameters - scaling.shift) / scaling.turn
-    return theta
+    return start_at(found, scaling, size)
 
 
 def starting_points(problem: TriadProblem, common_axes: Floats, prior: Floats | None) -> Iterator[Floats]:

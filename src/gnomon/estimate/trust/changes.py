@@ -30,8 +30,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...findings import Finding
 from ...frozen import value_class
 from ...recording import Floats, Integers
+from ...results.calibration import Calibration
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from .clusters import ClusterSums
@@ -59,28 +61,55 @@ _SAME = 1e-8  # of the largest: rounding
 _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
 
 
-_POSTPONED: ContextVar[list[Callable[[], tuple[ParameterChange, ...]]] | None] = ContextVar("postponed", default=None)
+Search = Callable[[], Sequence[object]]
+_ALONE: ContextVar[tuple[list[Search], Calibration | None] | None] = ContextVar("alone", default=None)
 
 
 @contextmanager
-def estimates_alone() -> Generator[list[Callable[[], tuple[ParameterChange, ...]]]]:
+def estimates_alone(start: Calibration | None = None) -> Generator[list[Search]]:
     """Leave out within this context what judges an estimate and changes none of its numbers.
 
     That is whether other lenses, a prior or parts of the recording agree, which turns would go unseen, and what is left
-    out to be predicted. Searches for parameters that changed during the recording are postponed: they are in the list
-    that is given.
+    out to be predicted. Searches for what is wrong with the recording, such as parameters that changed during it, are
+    postponed: they are in the list that is given.
+
+    Parameters
+    ----------
+    start : a calibration of the same sensors, from which iterations start where it is near enough; no evidence
     """
-    postponed = list[Callable[[], tuple[ParameterChange, ...]]]()
-    before = _POSTPONED.set(postponed)
+    postponed = list[Search]()
+    before = _ALONE.set((postponed, start))
     try:
         yield postponed
     finally:
-        _POSTPONED.reset(before)
+        _ALONE.reset(before)
 
 
 def estimates_are_judged() -> bool:
     """Tell whether more is wanted than an estimate, see `estimates_alone`."""
-    return _POSTPONED.get() is None
+    return _ALONE.get() is None
+
+
+def start_of_estimates() -> Calibration | None:
+    """Return from where iterations start, see `estimates_alone`."""
+    return None if (alone := _ALONE.get()) is None else alone[1]
+
+
+def look_or_postpone(look: Callable[[], Sequence[Finding]]) -> list[Finding]:
+    """Return findings, none where an estimate alone is wanted: the grave ones are then searched for later."""
+    return [] if postpone_search(lambda: grave_findings(look())) else [*look()]
+
+
+def grave_findings(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings that may change a result."""
+    return [one for one in findings if one.severity in ("problem", "warning")]
+
+
+def postpone_search(search: Search) -> bool:
+    """Put a search off where an estimate alone is wanted, and tell whether that is so."""
+    if (alone := _ALONE.get()) is not None:
+        alone[0].append(search)
+    return alone is not None
 
 
 @value_class
@@ -176,9 +205,8 @@ def parameter_changes(
     n = len(sums)
     if n < 2 * _FEWEST_IN_PART:
         return ()
-    if (postponed := _POSTPONED.get()) is not None:
-        again = partial(parameter_changes, sums, jacobian, names, biases=biases, judged=judged, order=order)
-        postponed.append(partial(again, by_cause=by_cause))
+    again = partial(parameter_changes, sums, jacobian, names, biases=biases, judged=judged, order=order)
+    if postpone_search(partial(again, by_cause=by_cause)):
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     sums, jacobian = _followed(sums, jacobian)

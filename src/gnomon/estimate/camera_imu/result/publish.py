@@ -11,7 +11,7 @@ from ....recording import Floats, Integers
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ....results.parameters import covariance_names
 from ....results.trust import SigmaRatio, Splits, Trust
-from ...trust.changes import parameter_changes
+from ...trust.changes import estimates_are_judged, parameter_changes
 from ...trust.clusters import robust_variances
 from ...trust.parts import Split, part_agreement, part_differences
 from ..parameters import CameraParameters, ImuParameters, RigParameters
@@ -184,7 +184,9 @@ def recording_trust(result: PublishedRig, found: Uncertainty) -> Trust:
             SigmaRatio(block=path, ratio=float(np.sqrt(np.mean((sigma[members] / ordinary[members]) ** 2))))
             for path, members in blocks.items()
         ),
-        splits=None if by_time is None else _splits(by_time, result.jacobian, names, blocks),
+        splits=None
+        if by_time is None or not estimates_are_judged()
+        else _splits(by_time, result.jacobian, names, blocks),
         changes=()
         if by_time is None
         else parameter_changes(by_time.stretches, result.jacobian @ by_time.scalars, names.tolist(), judged=estimated),
