@@ -314,11 +314,12 @@ def normal_equations(
         (lines.accelerometer, lines.accelerometer_u, lines.accelerometer_theta, whitening.accelerometer),
         (lines.gyroscope, lines.gyroscope_u, lines.gyroscope_theta, whitening.gyroscope),
     )
+    chosen = slice(None) if free.all() else free  # without a copy
     for residual, by_u, by_theta, whitener in rest:
-        theta = by_theta[..., free]
+        theta = by_theta[..., chosen]
         own, apart_here = _acting(theta, apart)  # most columns act on one kind of residual
         r = (whitener @ residual[..., None])[..., 0]
-        ju, jt = whitener @ by_u, whitener @ theta[..., own]
+        ju, jt = whitener @ by_u, whitener @ theta.take(own, axis=2)
         jut = np.swapaxes(ju, 1, 2)
         diagonal += jut @ ju
         border[..., own] += jut @ jt
@@ -327,7 +328,7 @@ def normal_equations(
         corner[np.ix_(own, own)] += column_products(flat, flat, apart_here)
         corner_gradient[own] += flat.T @ r.ravel()
     w = whitening.rotation[:, None, None]
-    r, ju, jt = w[..., 0] * lines.rotation, w * lines.rotation_u, w * lines.rotation_theta[..., free]
+    r, ju, jt = w[..., 0] * lines.rotation, w * lines.rotation_u, w * lines.rotation_theta[..., chosen]
     jut = np.swapaxes(ju, 1, 2)
     diagonal[:-1] += jut @ ju
     diagonal[1:] += w * w * np.eye(2)
@@ -336,7 +337,7 @@ def normal_equations(
     gradient[:-1] += (jut @ r[..., None])[..., 0]
     gradient[1:] += w[..., 0] * r
     own, apart_here = _acting(jt, apart)
-    flat = jt[..., own].reshape(-1, len(own))
+    flat = jt.take(own, axis=2).reshape(-1, len(own))
     corner[np.ix_(own, own)] += column_products(flat, flat, apart_here)
     corner_gradient[own] += flat.T @ r.ravel()
     return ArrowSystem(

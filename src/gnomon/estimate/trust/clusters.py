@@ -109,14 +109,9 @@ def part_estimates(sums: ClusterSums, part: Integers) -> tuple[Floats, Floats]:
     sums : of clusters
     part : (c,) number of the part that a cluster belongs to; negative for none
     """
-    numbers = np.unique(part[part >= 0])
-    steps, inverses = [], []
-    for number in numbers:
-        own = part == number
-        information = sums.information[own].sum(axis=0) + sums.prior_information
-        steps.append(_solved(information, sums.pull[own].sum(axis=0) + sums.prior_pull))
-        inverses.append(_inverse(information))
-    return np.array(steps), np.array(inverses)
+    belongs = (part == np.unique(part[part >= 0])[:, None]).astype(np.float64)
+    information = np.tensordot(belongs, sums.information, 1) + sums.prior_information
+    return _solved(information, belongs @ sums.pull + sums.prior_pull), _inverse(information)
 
 
 def held_out_costs(sums: ClusterSums) -> Floats:
