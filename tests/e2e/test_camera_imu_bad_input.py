@@ -376,6 +376,25 @@ def test_never_confidently_wrong(case, calibrated):
     assert case.finding in {finding.code for finding in result.assessment.findings if finding.severity == "warning"}
 
 
+def hung(t_ns, values):
+    """Let one reading stand for 3 s of all six axes."""
+    first, last = np.searchsorted(t_ns, t_ns[0] + np.array([8, 11]) * 10**9)
+    values[first:last] = values[first]
+    return t_ns, values
+
+
+def test_an_imu_that_hangs_for_seconds_leaves_a_gap_that_is_named(calibrated):
+    """It ended in normal equations that are singular: nothing held the trajectory there."""
+    code, document, err, folder = calibrated(Case(edit=samples(hung)))
+    result = gnomon.load(folder.parent / "out/calibration.yaml")
+    assert code == 0, err
+    assert document["verdict"] == "warn"
+    stuck = [f for f in result.assessment.findings if f.code == "samples-stuck"]
+    assert all("times in a row from 8.00 s" in finding.message for finding in stuck)
+    assert stuck
+    assert most_sigmas(result, folder) < MOST_SIGMAS
+
+
 def test_a_lens_that_is_held_against_the_corners_widens_what_it_moves(calibrated):
     case = Case(scenario={"focal_error": 0.005}, arguments=("--model", "full"), finding="intrinsics-doubtful")
     _, document, _, folder = calibrated(case)

@@ -264,6 +264,19 @@ def test_what_tells_nothing_is_refused(warm_ups, change, says):
         gnomon.calibrate_temperature([change(made.recordings[0])])
 
 
+def test_samples_that_hide_what_a_warm_up_shall_tell_are_named(warm_ups):
+    """The signals are looked at as those of every other recording."""
+    made, _ = warm_ups
+    imu = made.recordings[0].imus["imu0"]
+    rate, middle = imu.gyroscope.values, np.median(imu.gyroscope.values, axis=0)
+    dead = np.where(np.abs(rate - middle) < rate.std(axis=0), middle, rate)
+    spoilt = replace(imu, gyroscope=replace(imu.gyroscope, values=dead))
+    found = gnomon.calibrate_temperature([gnomon.Recording(imus={"imu0": spoilt})])
+    assert "dead-band" in {f.code for f in found.calibration.assessment.findings if f.severity == "warning"}
+    sound = gnomon.calibrate_temperature([made.recordings[0]])
+    assert "dead-band" not in {f.code for f in sound.calibration.assessment.findings}
+
+
 def test_the_same_recording_twice_is_refused(warm_ups):
     made, _ = warm_ups
     with pytest.raises(gnomon.GnomonError):

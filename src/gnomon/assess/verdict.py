@@ -64,6 +64,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "rotation-breaks": _BENT | {"not-observable", "parameter-changed", "frames-late", "board-moved", "distortion"},
     "axes-differ": _BENT | {"triads-apart"},
     "axes-mirrored": _BENT | {"triads-apart"},
+    "dead-band": frozenset({"samples-stuck", "samples-repeated", "noise-repeated", "isolated-readings"}),
     "samples-repeated": frozenset({"noise-differs", "jitter"}),
     "jitter": frozenset({"time-repeated", "noise-differs", "gyroscope-drift", "frames-late", "triads-apart"}),
     "saturation": frozenset(

@@ -21,6 +21,7 @@ from ..results.trust import WeakDirection
 from .directions import axis_words
 from .observability import known_of, weak_directions
 from .priors import NAMES, KnownScalars, Prior
+from .verdict import grade_by_limits
 
 if TYPE_CHECKING:
     from ..estimate.camera_imu.layout import BorderLayout
@@ -62,7 +63,7 @@ def added_findings(
             for entry in found.cameras
         ]
     if "board" in added and found.board is not None:
-        findings.append(_board(found.board.offsets))
+        findings.append(_board(found.board.points, found.board.offsets))
     return findings
 
 
@@ -198,9 +199,20 @@ def _lens(stated: "CameraParameters", found: "CameraParameters", board_told: boo
     )
 
 
-def _board(offsets: Floats) -> Finding:
+def _board(points: Floats, offsets: Floats) -> Finding:
+    """Say where the corners lie; of a board with another aspect the size is known no better than half of that."""
     rms, most = (1e3 * f(np.linalg.norm(offsets, axis=1)) for f in (_rms, np.max))
-    return make_finding("board-found/rig", rms=rms, most=most)
+    centred = points - points.mean(axis=0)
+    x, y, _ = np.sum(centred * offsets, axis=0) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
+    stretched = grade_by_limits("scale", abs(y - x) / 2) != "good"
+    return make_finding(
+        "board-found/rig",
+        severity="warning" if stretched else "info",
+        case="stretched" if stretched else "",
+        rms=rms,
+        most=most,
+        also=f"; its y axis is {100 * (y - x):+.2g} % longer against x than stated" if stretched else "",
+    )
 
 
 def _rms(values: Floats) -> float:

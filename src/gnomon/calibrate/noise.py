@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from ..assess.checks.protocol import TELLS_RESTS, check_protocol, find_imu_rests
-from ..assess.checks.signals import copied_stretches, isolated_finding
+from ..assess.checks.signals import check_turns, copied_stretches, dead_band_finding, isolated_finding
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import StillSpans, assess_noise, check_length, check_samples, check_still
 from ..assess.verdict import merge_by_cause, verdict_of
-from ..detect.samples.repair import isolated_readings, without_readings
+from ..detect.samples.repair import dead_bands, isolated_readings, without_readings
 from ..detect.samples.repeats import RepeatWatch
 from ..detect.samples.rest import RestTable, RestWatch
 from ..detect.samples.threshold import averaging_time
@@ -103,6 +103,7 @@ def identify_noise(
         findings += check_still(tables[name], name, dead_windows(tables[name], triad.step), find_rests)
         findings += check_samples(tables[name], triad.step, name)
         findings += copied_stretches(*triad.repeats.copies(), name)
+        findings += dead_band_finding(triad.band, triad.band_places, name, SENSOR_UNITS[name])
         if triad.isolated:
             at_s = np.concatenate(triad.isolated)
             findings.append(isolated_finding(at_s, len(at_s) / triad.watch.samples, name))
@@ -204,6 +205,7 @@ class _Triad:
         self.isolated = list[Floats]()
         self.notes: list[Finding] = []
         self.step = np.full(3, np.nan)
+        self.band, self.band_places = np.full(3, np.nan), np.zeros(3, np.int64)
         self._options = options
         self._origin: int | None = None
         self._factor = 1.0
@@ -216,6 +218,7 @@ class _Triad:
             self._origin = self.watch.origin_ns = int(block.t_ns[0])
             self._factor = self._unit(block)
             self.step = smallest_steps(block.values) * self._factor
+            self.notes += check_turns(block, self.name)
         t_s: Floats = np.multiply(block.t_ns - self._origin, 1e-9, dtype=np.float64)
         stop_s = np.inf if self._options.stop_s is None else self._options.stop_s
         kept = slice(*np.searchsorted(t_s, [self._options.start_s, stop_s]).tolist())
@@ -232,6 +235,8 @@ class _Triad:
                 "anew."
             )
         self.sums.add(values)
+        band, places = dead_bands(values)
+        self.band, self.band_places = np.where(places > 0, band, self.band), self.band_places + places
         self.repeats.add(values, t_s[kept])
         return bool(t_s[-1] < stop_s)
 

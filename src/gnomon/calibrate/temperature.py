@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from ..assess.checks.signals import check_signal
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.temperature_verdict import temperature_findings
 from ..assess.verdict import SEVERITIES, verdict_of
@@ -36,7 +37,7 @@ from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadO
 from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 from .steps.temperature_while_turned import supported_order
-from .steps.warm_ups import RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
+from .steps.warm_ups import TRIADS, RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
 from .turned_temperature import (
     FEWEST_TEMPERATURES,
     TurnedRecordings,
@@ -125,8 +126,8 @@ def calibrate_temperature(
     tell("assessing the result")
     result = _result(base, fit, turned, names, step)
     result = replace(result, nominal=nominal and turned is None)
-    thermometers = [finding for name, one in zip(names, samples, strict=True) for finding in _thermometer(name, one)]
-    findings = (*temperature_findings(result, thermometers), *base.assessment.findings)
+    noticed = [finding for i, one in enumerate(samples) for finding in _noticed(names[i], one, resting=i in resting)]
+    findings = (*temperature_findings(result, noticed), *base.assessment.findings)
     stated = stated_options(options) | ({} if reference_degc is None else {"reference_degc": f"{reference_degc:g}"})
     return _assessed(result, findings, [source for one in recordings for source in one.sources], stated)
 
@@ -361,6 +362,10 @@ def _curve(fit: _Fit, axis: int, per_si: float) -> AxisOverTemperature:
     )
 
 
-def _thermometer(name: str, imu: ImuSamples) -> list[Finding]:
+def _noticed(name: str, imu: ImuSamples, *, resting: bool) -> list[Finding]:
+    """Return what the samples show; where the sensor is turned, its calibration has told of the triads."""
     assert imu.temperature is not None
-    return check_temperature(imu.temperature, f"{name}, thermometer")
+    triads = [triad for triad in TRIADS if resting and len(getattr(imu, triad))]
+    signals = [finding for triad in triads for finding in check_signal(getattr(imu, triad), f"{name}, {triad}")]
+    loud = [finding for finding in signals if finding.severity in ("problem", "warning")]
+    return [*check_temperature(imu.temperature, f"{name}, thermometer"), *loud]

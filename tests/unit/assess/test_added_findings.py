@@ -7,6 +7,7 @@ import pytest
 
 from gnomon.assess.weak_findings import added_findings
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
+from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
 from gnomon.models.camera import Camera
 
 
@@ -41,6 +42,19 @@ def test_a_lens_is_sure_only_where_the_board_can_be_told_from_it(focal_px, board
     (finding,) = added_findings(("intrinsics",), parameters(460.0), parameters(focal_px), board_told=board_told)
     assert (finding.code, finding.severity) == ("lens-found", severity)
     assert cure in finding.cure
+
+
+@pytest.mark.parametrize(
+    ("stretch", "severity"), [(0.0, "info"), (0.003, "info"), (0.006, "warning"), (-0.006, "warning")]
+)
+def test_a_board_that_one_axis_is_longer_of_leaves_its_size_in_doubt(stretch, severity):
+    points = np.stack(np.meshgrid(np.arange(7), np.arange(6), [0]), axis=-1).reshape(-1, 3) * 0.06
+    centred = points - points.mean(axis=0)
+    offsets = centred * [-stretch / 2, stretch / 2, 0] + 1e-4 * np.random.default_rng(1).standard_normal(points.shape)
+    found = replace(parameters(460.0), board=BoardPoints(points=points, offsets=offsets, sigma_m=1e-3))
+    (finding,) = added_findings(("board",), parameters(460.0), found, board_told=True)
+    assert (finding.code, finding.severity) == ("board-found", severity)
+    assert (severity == "warning") == ("longer against x than stated" in finding.message)
 
 
 def test_how_long_images_were_exposed_is_told():

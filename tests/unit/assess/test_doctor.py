@@ -1,5 +1,6 @@
 """The data doctor: every fault is named by its code, and a good recording has none."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -225,6 +226,41 @@ def test_coarse_sensor_at_rest_is_not_stuck() -> None:
     coarse = np.round(samples.gyroscope.values / 0.02) * 0.02
     found = findings(replace(samples, gyroscope=replace(samples.gyroscope, values=coarse)))
     assert not {"samples-stuck", "samples-repeated", "axis-constant"} & set(found)
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_readings_put_to_zero_when_small_are_named_and_coarse_steps_are_not(step: float) -> None:
+    samples = imu()
+    rate = samples.gyroscope.values
+    rate = np.rint(rate / step) * step if step else rate
+    dead = np.where(np.abs(rate - 0.01) < 0.006, 0.01, rate)
+    found = findings(replace(samples, gyroscope=replace(samples.gyroscope, values=dead)))
+    assert found["dead-band"].severity == "warning"
+    assert "imu0 gyroscope x and y and z: 0.01 rad/s stands in" in found["dead-band"].message
+    for coarse in (step or 1e-5, 2e-3, 0.01, 0.03):
+        values = np.rint(rate / coarse) * coarse
+        assert "dead-band" not in findings(replace(samples, gyroscope=replace(samples.gyroscope, values=values)))
+
+
+def test_a_gyroscope_that_is_set_to_zero_in_every_rest_is_named() -> None:
+    samples = imu()
+    rate = samples.gyroscope.values
+    moving = np.convolve(np.abs(rate - 0.01).max(axis=1) > 0.03, np.ones(25), "same") > 0.5
+    found = findings(
+        replace(samples, gyroscope=replace(samples.gyroscope, values=np.where(moving[:, None], rate, 0.0)))
+    )
+    assert "0 rad/s stands in 20 places" in found["dead-band"].message
+
+
+@pytest.mark.parametrize("period", [2, 3, 4])
+def test_sensors_that_were_written_by_turns_are_a_problem(period: int) -> None:
+    samples = imu()
+    turn = np.arange(len(samples.gyroscope)) % period == 0
+    values = samples.gyroscope.values + turn[:, None] * [0.0, 0.03, 0.0]
+    found = findings(replace(samples, gyroscope=replace(samples.gyroscope, values=values)))
+    assert found["samples-by-turns"].severity == "problem"
+    size = re.search(rf"by turns of {period}, samples differ by (\S+) rad/s", found["samples-by-turns"].message)
+    assert abs(float(size[1]) - 0.03) < 5e-4
 
 
 @pytest.mark.parametrize(("unit", "severity"), [("m/s^2", "good"), ("g", "problem"), ("count", "info")])

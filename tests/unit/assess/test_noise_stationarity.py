@@ -41,6 +41,19 @@ def test_noise_that_stays_is_not_warned_of() -> None:
         assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.05 * N
 
 
+@pytest.mark.parametrize("bands", [(-1.0, 1.0), (-0.5, 0.5), (0.0, 1.0)])
+def test_a_dead_band_and_two_sensors_by_turns_are_named_as_the_data_doctor_names_them(bands) -> None:
+    """A band of one standard deviation halves the white noise, or doubles it where it has one side."""
+    values = at_rest()
+    low, high = np.array(bands) * values.std()
+    assert not identified(values)[1].keys() & {"dead-band", "samples-by-turns"}
+    noise, codes = identified(np.where((values > low) & (values < high), 0.0, values))
+    assert noise.verdict != "pass"
+    assert codes["dead-band"] == "warning"
+    other = values + 3 * values.std() * (np.arange(len(values)) % 2)[:, None]
+    assert identified(other)[1]["samples-by-turns"] == "problem"
+
+
 def test_samples_that_fill_in_for_lost_ones_are_named() -> None:
     """Five at a time repeat the last one: 6 % of all, which makes the white noise 15 % larger; coarse steps do not."""
     values, rng = at_rest(), np.random.default_rng(1)

@@ -1,10 +1,12 @@
 """Findings that calibrations from magnitudes share."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from gnomon.assess.imu.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
+from gnomon.assess.imu.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, unit_findings
 from gnomon.assess.verdict import grade_value
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.triads.triad_poses import TriadPoses
@@ -43,6 +45,24 @@ def test_scatter_is_told_where_noise_does_not_explain_it():
     assert finding.severity == "warning"
     assert scatter_findings(replace(fit, extra_sigma=0.01), 0.001, 9.8, "m/s^2")[0].severity == "info"
     assert scatter_findings(fitted(), 0.01, 9.8, "m/s^2") == []
+
+
+@pytest.mark.parametrize(
+    ("scales", "unit", "says"),
+    [
+        ([1.05, 0.9, 1.1], "rad/s", ""),
+        ([57.3, 57.3, 56.0], "rad/s", "like deg/s"),
+        ([1.0, 10.0, 1.1], "rad/s", "y axis reads 9.09 times what the others do"),
+        ([1.0, 1.0, 57.3], "deg/s", "z axis reads 57.3 times what the others do"),
+        ([820.0, 830.0, 410.0], "count", "x axis|z axis reads 0.5 times what the others do"),
+        ([820.0, 830.0, 810.0], "count", ""),
+    ],
+)
+def test_one_axis_in_another_unit_is_told_from_a_unit_of_all(scales, unit, says):
+    """An axis ten times as large was said to be a sample rate that is wrong."""
+    found = unit_findings("gyroscope", np.diag(scales) @ (np.eye(3) + 0.01), unit)
+    assert [finding.code for finding in found] == ["unit"] * bool(says)
+    assert all(re.search(says, finding.message) for finding in found)
 
 
 def test_relative_sigmas_at_an_unknown_scale_are_those_at_a_known_one():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.early_findings import neighbour_correlation
+from gnomon.assess.cameras.rig_residuals import residual_correlation, wandering_residuals
 from gnomon.assess.verdict import model_incomplete, parts_disagree, time_shift_varies, uncertainty_summary
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
@@ -83,4 +83,21 @@ def test_correlation_of_neighbouring_residuals(share):
         t_s=np.arange(5000) / 200, measured=residual, predicted=np.zeros_like(residual), basic=None,
         used=np.ones(5000, dtype=bool), sigma=1.0, unit="rad/s",
     )  # fmt: skip
-    assert neighbour_correlation(fit) == pytest.approx(share / (1 + share**2), abs=0.03)
+    assert residual_correlation(fit) == pytest.approx(share / (1 + share**2), abs=0.03)
+
+
+@pytest.mark.parametrize(("rate_hz", "lasts_s", "named"), [(200, 0.0, False), (1000, 0.03, False), (100, 2.0, True)])
+def test_a_gyroscope_that_takes_its_bias_off_by_itself_leaves_residuals_that_last(rate_hz, lasts_s, named):
+    """Motion faster than the knots is left over for some hundredths of a second."""
+    count, rng = 20 * rate_hz, np.random.default_rng(5)
+    residual, kept = rng.standard_normal((count, 3)), np.exp(-1 / (rate_hz * lasts_s)) if lasts_s else 0.0
+    for k in range(1, count):
+        residual[k] += kept * residual[k - 1]
+    fit = SignalFit(
+        t_s=np.arange(count) / rate_hz, measured=residual, predicted=np.zeros((count, 3)), basic=None,
+        used=np.ones(count, dtype=bool), sigma=1.0, unit="rad/s",
+    )  # fmt: skip
+    assert [finding.code for finding in wandering_residuals("imu0.gyroscope", fit)] == ["residuals-wander"] * named
+    assert not wandering_residuals("imu0.accelerometer", fit)
+    shaken = 3 * np.sin(2 * np.pi * 20.0 * fit.t_s)[:, None] + rng.standard_normal((count, 3))
+    assert not wandering_residuals("imu0.gyroscope", replace(fit, measured=shaken))

@@ -5,22 +5,44 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...findings import Finding, make_finding
-from ...results.camera_diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit
+from ...results.camera_diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit, SignalFit
 
 _FAR = 5.0  # sigmas
 _FAR_INFO, _FAR_WARN = 0.005, 0.05
 _ENDS = 0.15  # of the recording, over which the bias of its start and its end are taken
 _WALKS, _LEAST_RAD_S = 5.0, np.radians(0.1)
+_APART_S, _WANDERS = 0.1, 0.5  # beyond what knots leave of fast motion; of sound recordings it is 0
 
 
 def residual_findings(diagnostics: CameraImuDiagnostics) -> list[Finding]:
-    """Return findings of codes corners-outlying and gyroscope-drift."""
+    """Return findings of codes corners-outlying, gyroscope-drift and residuals-wander."""
     points = "corners" if diagnostics.scene is None else "landmarks"
     findings = [finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit, points)]
     for name, track in diagnostics.biases.items():
         if name.endswith(".gyroscope"):
             findings += _drift(name, track)
-    return findings
+    return findings + [
+        finding for name, fit in diagnostics.signals.items() for finding in wandering_residuals(name, fit)
+    ]
+
+
+def wandering_residuals(name: str, fit: SignalFit) -> list[Finding]:
+    """Say where a gyroscope's residuals last: no noise, and no bias that walks, is left over like that."""
+    apart = max(round(_APART_S * (len(fit.t_s) - 1) / max(float(np.ptp(fit.t_s)), 1e-9)), 1)
+    if not name.endswith(".gyroscope"):
+        return []
+    # Vibration comes back after a whole period, and not in between.
+    correlation = min(residual_correlation(fit, max(apart // part, 1)) for part in (1, 2, 3, 4, 5, apart))
+    if correlation < _WANDERS:
+        return []
+    return [make_finding("residuals-wander", name=name, correlation=correlation, apart_s=_APART_S)]
+
+
+def residual_correlation(fit: SignalFit, apart: int = 1) -> float:
+    """Return the correlation of the residuals of a triad that are so many samples apart."""
+    residual = (fit.measured - fit.predicted)[fit.used]
+    power = float(np.sum(residual**2))
+    return float(np.sum(residual[apart:] * residual[:-apart])) / power if power > 0 else 0.0
 
 
 def outlying_corners(name: str, fit: CornerFit, points: str = "corners") -> list[Finding]:

@@ -153,7 +153,7 @@ def _lag(pushed: Floats, turned: Floats) -> tuple[float, float, float]:
     return float(lags[best]) * _GRID_S, float(score[best]), float(score[most])
 
 
-_OF_VALUES = {"isolated-readings", "saturation", "samples-stuck", "samples-repeated"}
+_OF_VALUES = {"isolated-readings", "saturation", "samples-stuck", "samples-repeated", "dead-band"}
 
 
 def check_magnetometers(recording: Recording) -> list[Finding]:

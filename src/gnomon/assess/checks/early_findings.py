@@ -23,6 +23,7 @@ from ...findings import Finding
 from ...recording import Floats
 from ...results.camera_diagnostics import CameraImuDiagnostics, SignalFit
 from ..cameras.camera_imu_tables import MISFIT
+from ..cameras.rig_residuals import residual_correlation
 from .board_turn import BoardMove, moved_finding
 
 _CHANCE, _SHARE = 0.01, 0.02
@@ -56,7 +57,7 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
             f"corner's residual is correlated by {lasting:.2g} from frame to frame)"
         )
     for name, fit in signals.items():
-        correlation = neighbour_correlation(fit)
+        correlation = residual_correlation(fit)
         if correlation > _COLOURED:
             found.append(
                 f"vibration, or motion faster than the trajectory's knots, in {name} (neighbouring residuals are "
@@ -68,13 +69,6 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
 def _lasting(corners: Sequence[CountingCorners]) -> float:
     """Return the largest correlation, of any camera, of a corner's residual with that in the next frame."""
     return max((corner_correlation(one) for one in corners if len(one.point)), default=0.0)
-
-
-def neighbour_correlation(fit: SignalFit) -> float:
-    """Return the correlation of neighbouring residuals of a triad."""
-    residual = (fit.measured - fit.predicted)[fit.used]
-    power = float(np.sum(residual**2))
-    return float(np.sum(residual[1:] * residual[:-1])) / power if power > 0 else 0.0
 
 
 def _there(pattern: ResidualPattern) -> bool:

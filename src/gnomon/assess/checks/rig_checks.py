@@ -335,7 +335,7 @@ def _gap(t_s: Floats, at_s: float, length_s: float) -> bool:
 
 
 def _jumped(name: str, other: str, step_s: float, at_s: float, which: str = "") -> Finding:
-    size = f"{step_s * 1e3:+.3g} ms" if abs(step_s) < 1 else f"{step_s:+.4g} s"
+    size = f"{step_s * 1e3:+.3g} ms" if abs(step_s) < 0.9995 else f"{step_s:+.4g} s"
     cause = f" Its timestamps have a gap of that length there: it is {which} that jumped." if which else ""
     return make_finding("clock-jump/rotation", name=name, size=size, other=other, at_s=at_s, cause=cause)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import held_samples, isolated_readings
+from ...detect.samples.repair import dead_bands, held_samples, isolated_readings
 from ...detect.samples.repeats import repeated_stretches
 from ...findings import Finding, make_finding
 from ...frozen import value_class
@@ -250,9 +250,11 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
 _STUCK_S = 0.25
 _STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
 """One axis alone: how long, the others' share of their range meanwhile, and from which share it is a problem."""
+_ZEROED = 3  # rests in which the same reading stands: no link hangs like that
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
 _MUCH_REPEATED = 0.02  # of all samples
+_MAD, _TURNS, _FEWEST_TURNS = 1.4826, 2.0, 50  # standard deviations between the means by turns; turns
 _LISTED, _MANY_ISOLATED = 6, 1e-3  # isolated readings; the share from which on others may hide among them
 
 
@@ -285,11 +287,42 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
         which = np.flatnonzero(still) if still.any() else sorted({axis % 3 for k in copied for axis in (k, k - 1)})
         axes = " and ".join("xyz"[axis] for axis in which)
         findings.append(make_finding("axis-constant", label=label, axes=axes, case="" if still.any() else "copied"))
+    findings += check_turns(samples, label)
     findings += _isolated(samples, label)
     findings += _saturation(samples, label)
-    findings += _stuck(samples, label, beside) or _stuck_axis(samples, label)
+    stuck = _stuck(samples, label, beside) or _stuck_axis(samples, label)
+    if all(finding.code != "dead-band" for finding in stuck):
+        findings += dead_band_finding(*dead_bands(samples.values), label, samples.unit)
+    findings += stuck
     findings += check_repeats(samples, label)
     return findings
+
+
+def check_turns(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return a finding where every second, third or fourth sample is off from the others all the time."""
+    values = samples.values[:_NOISE_SAMPLES]
+    for period in range(2, 5):
+        count = len(values) // period - 1
+        if count < _FEWEST_TURNS:
+            break
+        n = period * count
+        off = values[:n] - sum(values[k : k + n] for k in range(period)) / period
+        usual = np.median(off.reshape(count, period, 3), axis=0)
+        spread = _MAD * np.median(np.abs(off.reshape(count, period, 3) - usual), axis=0).max(axis=0)
+        size = np.ptp(usual, axis=0)
+        if (size > _TURNS * spread).any():
+            size_of_worst = float(size[np.argmax(size - _TURNS * spread)])
+            return [make_finding("samples-by-turns", label=label, period=period, size=size_of_worst, unit=samples.unit)]
+    return []
+
+
+def dead_band_finding(values: Floats, places: Integers, label: str, unit: str) -> list[Finding]:
+    """Return a finding on the axes (3,) in which a value stands for all near it, in as many places; else nothing."""
+    worst = int(np.argmax(places))
+    if not places[worst]:
+        return []
+    axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(places))
+    return [make_finding("dead-band", label=label, axes=axes, value=values[worst], unit=unit, count=int(places[worst]))]
 
 
 def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
@@ -413,6 +446,9 @@ def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> li
     chance = len(samples) * max(by_chance, 1e-300) ** min(longest, 300)
     share = count / len(repeats)
     if longest >= least and chance < 1e-3:
+        again = (runs >= least) & (samples.values[edges[::2]] == samples.values[first]).all(axis=1)
+        if again.sum() >= _ZEROED:
+            return dead_band_finding(samples.values[first], np.full(3, again.sum()), label, samples.unit)
         much = longest > _MUCH_STUCK * len(samples) and _moves(beside, *samples.t_ns[[first, first + longest]])
         return [
             make_finding(

@@ -103,7 +103,7 @@ def check_still(
     start, stop = _longest_still(table, marked | frozen | outside)
     where = f"at {first:.0f} s" if last - first < 3 else f"between {first:.0f} s and {last:.0f} s"
     if stir.share > _SHARE or turned.any():
-        what = "was moved" if turned.any() else "was shaken"
+        what = "was moved, or its bias stepped," if turned.any() else "was shaken"
         advice = (
             f"Leave it out: it was still from {start:.0f} s to {stop:.0f} s (--start-s {start:.0f} --stop-s {stop:.0f})"
         )

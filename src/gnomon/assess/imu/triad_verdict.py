@@ -74,9 +74,14 @@ def relative_sigmas(fit: "TriadFit", covariance: Floats | None = None) -> Floats
 
 
 def unit_findings(triad: Literal["accelerometer", "gyroscope"], sensitivity: Floats, unit: str) -> list[Finding]:
-    """Warn where the scales are far from what the unit says; counts say nothing."""
+    """Warn where one scale is far from the others, or all from what the unit says, which counts say nothing of."""
     table = ACCELEROMETER_UNITS_M_S2 if triad == "accelerometer" else GYROSCOPE_UNITS_RAD_S
     nominal = table.get(unit)
+    scales = np.linalg.norm(sensitivity, axis=1)
+    usual = float(np.median(scales))
+    odd = int(np.argmax(np.abs(np.log(scales / usual))))
+    if not 1 / _UNIT_FACTOR < scales[odd] / usual < _UNIT_FACTOR:
+        return [make_finding("unit/axis", triad=triad, axis="xyz"[odd], ratio=scales[odd] / usual)]
     ratio = mean_scale(sensitivity) * (nominal or np.nan)
     if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
         return []

@@ -12,6 +12,7 @@ from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
 from ...assess.weak_findings import cameras_disagree
 from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import held_samples, repair_samples
+from ...detect.samples.rests import runs_below
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels
@@ -42,6 +43,7 @@ _S_A = _ACCELEROMETER.start + np.array([0, 3, 4, 6, 7, 8])
 _S_G = np.arange(_GYROSCOPE.start, _GYROSCOPE.start + 9)
 _B_G = np.arange(_GYROSCOPE.stop - 9, _GYROSCOPE.stop)
 _Q_BG = slice(12, 15)  # among the 24 letters
+_HANGS_S = 0.25
 
 
 def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Prior:
@@ -247,6 +249,7 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
             repair_samples(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2"
         )
         gyroscope = _in_si(repair_samples(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
+        accelerometer, gyroscope = _without_hangs(accelerometer, gyroscope)
         origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
         inertial += _inertial(number, accelerometer, gyroscope, origin, options)
         imus.append(
@@ -342,6 +345,20 @@ def _looked(
         imu=prepared.imus[number].name,
         unusable=~gyroscope.used,
     )
+
+
+def _without_hangs(*triads: TriadSamples) -> list[TriadSamples]:
+    """Return triads without the time in which one of them hung: over such a gap the trajectory is cut."""
+    kept = [np.ones(len(samples), dtype=bool) for samples in triads]
+    for samples in triads:
+        moving = np.where(held_samples(samples.values), 0.0, 1.0)
+        hangs = runs_below(moving, 0.5, max(round(_HANGS_S * samples.rate_hz), 5))
+        for start, stop in zip(samples.t_ns[hangs.start], samples.t_ns[hangs.stop - 1], strict=True):
+            kept = [one & ((of.t_ns < start) | (of.t_ns > stop)) for one, of in zip(kept, triads, strict=True)]
+    return [
+        samples if one.all() else replace(samples, t_ns=samples.t_ns[one], values=samples.values[one])
+        for samples, one in zip(triads, kept, strict=True)
+    ]
 
 
 def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si: str) -> TriadSamples:

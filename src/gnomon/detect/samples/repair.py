@@ -13,6 +13,9 @@ _OFF = 10.0  # times as far from the line as they are; white noise never is
 _SAMPLES = 10_000  # that tell what is usual
 _HELD, _SLOWER, _JUMP = 0.005, 0.2, 3.0  # of the samples, more than by chance; beyond, the sensor is slower; steps
 
+_BAND_PLACES, _BAND_TIMES = 12, 3.0
+"""Of a dead band: by how many places more than times those of any reading beside it; coarse steps make it twice."""
+
 
 def repair_samples(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
     """Return the samples as they are used: no timestamp twice, and no isolated reading.
@@ -43,6 +46,31 @@ def held_samples(values: Floats) -> Booleans:
     following = values[others[np.searchsorted(others, np.arange(len(values)))]]
     repeats &= (np.abs(following - values) > _JUMP * np.nan_to_num(smallest_steps(values))).all(axis=1)
     return repeats & (_HELD < repeats.mean() <= _SLOWER)
+
+
+def dead_bands(values: Floats) -> tuple[Floats, Integers]:
+    """Return of each axis the reading that stands in for all near it, and in how many places (3,); 0 where none does.
+
+    Such a reading is inside the range and occurs far more often than those next to it. One that is repeated is in one
+    place: coarse steps, samples that are held and an axis that hangs make no dead band.
+    """
+    found, places = np.full(3, np.nan), np.zeros(3, np.int64)
+    for axis, column in enumerate(np.ascontiguousarray(values.T)):
+        new = np.concatenate([[True], column[1:] != column[:-1]])
+        repeated = column[~new]
+        if not len(repeated):
+            continue
+        usual, count = np.unique(repeated[:: 1 + len(repeated) // _SAMPLES], return_counts=True)
+        most = int(np.argmax(count))
+        found[axis] = usual[most]
+        if not column.min() < usual[most] < column.max():
+            continue
+        near = usual[max(most - _BESIDE, 0) : most + _BESIDE + 1]
+        counts = [int(np.count_nonzero(column[new] == value)) for value in near]
+        own = counts.pop(min(most, _BESIDE))
+        if own > _BAND_PLACES + _BAND_TIMES * max(counts, default=0):
+            places[axis] = own
+    return found, places
 
 
 def without_readings(values: Floats, at: Integers) -> Floats:

@@ -74,7 +74,7 @@ class _Score(NamedTuple):
             kind=triad % 2,
             axis=axis - 1 if axis else None,
             size=float(size),
-            sigma=float(np.sqrt(variance) * self.ratios[triad]),
+            sigma=float(np.sqrt(variance) * self.ratios[triad]) if variance > 0 else np.inf,  # rounding, of a bad fit
             moved=float(np.max(np.abs(size * self.moves[:, probe]) / np.sqrt(np.diag(found.covariance)))),
         )
 
@@ -89,7 +89,7 @@ def _filters(found: Uncertainty, score: _Score) -> tuple[list[TriadMisfit], Floa
     covariance = np.linalg.inv(information)
     sizes = covariance @ score.pull[told]
     misfits = [score.misfit(found, *one) for one in zip(told.tolist(), sizes, np.diag(covariance), strict=True)]
-    if any(one.size < -_ASKED * one.sigma for one in misfits):
+    if any(one.size < -_ASKED * one.sigma or one.sigma == np.inf for one in misfits):
         return [], added  # no filter of first order makes fast motion larger: another one, whose noise is not white
     for one, along in zip(misfits, score.moves[:, told].T, strict=True):
         added += np.outer(along, along) * expected_square(one.size, one.sigma)
