@@ -257,6 +257,15 @@ def test_a_magnetometer_beside_new_iron_is_named():
     assert (block.path, block.change.quantity) == ("imu0.magnetometer.bias", "heading")
 
 
+def test_soft_iron_is_named_where_the_strength_of_the_field_was_stated():
+    field = gnomon.FieldScenario(sensor_seed=1)
+    first, second = (gnomon.simulate_magnetometer(field, seed)[0] for seed in (1, 901))
+    calibration = gnomon.calibrate_magnetometer(first, gnomon.MagnetometerOptions(field=48.2)).calibration
+    assert gnomon.verify(calibration, second).state == "holds"
+    wrong = changed(calibration, magnetometer=scaled(2, 1.03))
+    assert "imu0.magnetometer.scale" in [block.path for block in gnomon.verify(wrong, second).moved]
+
+
 def test_a_verification_starts_from_the_calibration_and_ends_where_one_without_does():
     field = gnomon.FieldScenario(sensor_seed=2)
     first, second = (gnomon.simulate_magnetometer(field, seed)[0] for seed in (2, 902))

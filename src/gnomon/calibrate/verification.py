@@ -64,7 +64,7 @@ def verify(
     >>> found.state, [block.path for block in found.moved]  # doctest: +SKIP
     """
     known = calibration if isinstance(calibration, Calibration | ForeignCalibration) else _loaded(calibration)
-    known = _at_its_temperature(known, recording)
+    known = _per_local_field(_at_its_temperature(known, recording))
     frozen = ComparisonCandidate.of("the calibration", known)
     fresh = recording.calibration if isinstance(recording, Result) else recording
     sources = fresh.sources if isinstance(fresh, Recording) else fresh.provenance.inputs
@@ -142,6 +142,26 @@ def _at_its_temperature(
             "in a column such as temp_degC."
         )
     return known.at_temperature(degc)
+
+
+def _per_local_field(known: Calibration | ForeignCalibration) -> Calibration | ForeignCalibration:
+    """Return a magnetometer's calibration without the field's strength, which is another one elsewhere."""
+    stated = known.provenance.options.get("field") if isinstance(known, Calibration) else None
+    if isinstance(known, ForeignCalibration) or stated is None:
+        return known
+    imus = {
+        name: imu
+        if (sensor := imu.magnetometer) is None or sensor.field_unit != "uT"
+        else replace(
+            imu,
+            magnetometer=replace(sensor, sensitivity=float(stated) * sensor.sensitivity, field_unit="local field"),
+        )
+        for name, imu in known.imus.items()
+    }
+    names = known.uncertainty.names
+    scale = np.array([float(stated) if ".magnetometer.sensitivity" in name else 1.0 for name in names])
+    matrix = known.uncertainty.matrix * np.outer(scale, scale)
+    return replace(known, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
 
 
 def _estimated(
