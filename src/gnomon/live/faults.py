@@ -15,8 +15,7 @@ _GAP, _IN_BURSTS = 3.5, 0.1  # periods; share of the steps that are as long
 _REPEATED = 0.3
 _CLIPPED = 3
 _FAST_RAD = 0.12  # between two samples; a rate of 6 rad/s at 50 Hz
-_COARSE_M_S2, _COARSE_RAD_S = 0.03, 1.4e-3
-"""Chromium rounds to 0.1 and 0.0017; 16 bits at +-16 g and +-2000 deg/s to 0.005 and 0.001."""
+_COARSE_M_S2, _COARSE_RAD_S = 0.03, 1.4e-3  # Chromium: 0.1, 0.0017; 16 bits of 16 g and 2000 deg/s: 0.005, 0.001
 _PLAUSIBLE, _POSSIBLE = (0.7, 1.3), (0.5, 2.0)  # gravity at rest, and in motion
 
 

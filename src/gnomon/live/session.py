@@ -182,7 +182,6 @@ class LiveSession:
     def document(self) -> dict[str, Any]:
         """Return all that the page shows."""
         said = self.coach.state.document()
-        troubles = [[fault.code, fault.text] for fault in self.troubles()]
-        said["faults"] = [*troubles, *said["faults"]]
+        said["faults"] = [*([fault.code, fault.text] for fault in self.troubles()), *said["faults"]]
         said["written"], said["damaged"] = self.recorder.written, self.recorder.damaged
         return said
