@@ -39,8 +39,8 @@ def files_entered(words: list[str]) -> tuple[set[str], Counter[str]]:
 
 
 if __name__ == "__main__":
-    given = [word for word in sys.argv[1:] if word != "--list"]
+    given, listed = [word for word in sys.argv[1:] if word != "--list"], "--list" in sys.argv
     loaded, called = files_entered(given)
-    for path in sorted(called) if "--list" in sys.argv else ():
+    for path in sorted(called) if listed else ():
         print(f"{called[path]:8d}  {Path(path).relative_to(PACKAGE)}")
     print(f"{len(loaded)} files loaded, {len(called)} with a function that is called")

@@ -7,6 +7,7 @@ import csv
 import io
 import re
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 
 import pytest
@@ -103,17 +104,22 @@ def test_own_files_read_back(make_result, tmp_path, evil):
     assert again.assessment.findings == calibration.assessment.findings
 
 
+RESULT = cache(make_camera_imu_result)
+
+
+@cache
+def converted(name, form):
+    """Return the files of a result whose topics, inputs and remarks have a name."""
+    stated = {"imu0": StatedImu(noise=NOISE, update_rate_hz=200.0, topic=name)}
+    kept = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
+    return export_texts(named(RESULT(), name).calibration, form, imu=stated if form in kept else None).files
+
+
 @pytest.mark.parametrize("evil", EVIL)
 @pytest.mark.parametrize("form", [form for form in FORMATS if form not in {"imu_tk", "imucal", "px4", "ardupilot"}])
 def test_converted_files_hold_names_as_text(form, evil):
     """Keys of the files stay those of honest names, whatever a topic or a remark says."""
-    result = make_camera_imu_result()
-    stated = {"imu0": StatedImu(noise=NOISE, update_rate_hz=200.0, topic=evil)}
-    kept = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
-    files = [
-        export_texts(one, form, imu=stated if form in kept else None).files
-        for one in (named(result, "/honest").calibration, named(result, evil).calibration)
-    ]
+    files = [converted("/honest", form), converted(evil, form)]
     assert list(files[0]) == list(files[1])
     for name, text in files[1].items():
         if name.endswith(".yaml"):
