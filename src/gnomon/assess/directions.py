@@ -211,7 +211,7 @@ def across_words(direction: Floats, *, of_camera: bool) -> str:
     return f"{names[first]} and {names[second]}"
 
 
-def seconds_more(part: Part, wanted: float, duration_s: float, worst: int = 0) -> tuple[float, bool]:
+def seconds_more(part: Part, wanted: float, duration_s: float) -> tuple[float, bool]:
     """Return for how long to go on until the worst direction is known to `wanted`, and whether as before.
 
     The information gathered per second is that of the motion at hand: along the worst direction if all goes on as
@@ -222,12 +222,11 @@ def seconds_more(part: Part, wanted: float, duration_s: float, worst: int = 0) -
     part : its sigmas
     wanted : standard deviation [unit of the part]
     duration_s : of the recording; nan where not known
-    worst : index of the direction
     """
     if not isfinite(duration_s) or trades_with_bias(part):
         return float("inf"), False
-    missing = 1 / wanted**2 - 1 / part.sigma[worst] ** 2
-    same = duration_s * missing * part.sigma[worst] ** 2
+    missing = 1 / wanted**2 - 1 / part.sigma[0] ** 2
+    same = duration_s * missing * part.sigma[0] ** 2
     best = duration_s * missing * float(part.sigma.min()) ** 2
     if same <= min(max(2 * best, _SOON_S), _SAME_S):
         return max(same, 0.0), True

@@ -43,9 +43,6 @@ from .steps.camera_views import (
 from .steps.cameras_published import check_baseline, publish_cameras
 from .steps.preparation import assumption_finding, check_arguments, stated_options
 
-_MOST_TO_CHOOSE_BY = 40
-"""Views by which the lens model is chosen."""
-
 _MOST_TO_SYNCHRONISE = 150
 """Views by which the cameras' clocks are compared."""
 
@@ -96,7 +93,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     tell("choosing the lens model")
     lenses = (
         chosen_lenses(
-            {name: select_views(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
+            {name: select_views(every, name) for name in recording.cameras},
             models,
             among=options.among,
             robust=options.robust,
@@ -187,13 +184,7 @@ def _synchronism(every: RigViews, solution: RigSolution) -> list[Finding]:
 
 
 def _checked(recording: Recording, target: Target) -> tuple[Finding, ...]:
-    """Return what there is to say of the views before anything is estimated.
-
-    Raises
-    ------
-    RecordingError, DetectionError
-        See `calibrate_cameras`.
-    """
+    """Return what there is to say of the views before anything is estimated."""
     found = (*recording.findings, *check_views(recording, target))
     for finding in found:
         if finding.severity == "problem":

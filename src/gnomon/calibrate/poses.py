@@ -164,13 +164,7 @@ def _distinct(poses: Poses) -> int:
 
 
 def _require(attitudes: int, poses: Poses, known: Prior) -> None:
-    """Refuse poses that cannot determine an accelerometer.
-
-    Raises
-    ------
-    DetectionError
-        If there are too few attitudes.
-    """
+    """Refuse poses that cannot determine an accelerometer."""
     fewest = FEWEST if poses.specific_force is not None else FEWEST_POSES
     if known.knows("imu0.accelerometer.sensitivity"):
         fewest = 1

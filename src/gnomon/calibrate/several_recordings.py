@@ -115,13 +115,7 @@ def _named(name: str, work: Callable[[], Result]) -> Result:
 def _with_one_model(
     each: Sequence[tuple[str, Recording, Progress]], results: Sequence[Result], options: ImuOptions, one: CalibrateOne
 ) -> list[Result]:
-    """Calibrate again with the largest model that any recording asks for those that asked for less.
-
-    Raises
-    ------
-    RecordingError
-        If they tell of different sensors.
-    """
+    """Calibrate again with the largest model that any recording asks for those that asked for less."""
     if not {result.calibration.assessment.model for result in results} <= {"basic", "g-sensitivity"}:
         raise RecordingError(_different([name for name, _, _ in each], [result.calibration for result in results]))
     larger = replace(options, model="g-sensitivity")

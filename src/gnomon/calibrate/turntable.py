@@ -151,13 +151,7 @@ def _with_course(calibration: Calibration, parts: TurntableParts, fit: Turntable
 
 
 def _refuse_one_orientation(parts: TurntableParts) -> None:
-    """Refuse parts in which the platter's axis always lies alike in the sensor.
-
-    Raises
-    ------
-    DetectionError
-        If it does, or nothing turns.
-    """
+    """Refuse parts in which the platter's axis always lies alike in the sensor."""
     data = parts.data
     turning = data.rate > 0
     if not turning.any():

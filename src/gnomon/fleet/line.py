@@ -93,7 +93,18 @@ def assess_line(table: LineTable) -> LineAssessment:
     corrected = replace(table, values=values)
     devices, pairs = _Devices(corrected, first), _repeats(table.entries)
     stations = _station_offsets(devices, pairs)
-    found += [_station_finding(table, k, offset) for k, offset in stations]
+    found += [
+        make_finding(
+            "line-station",
+            station=offset.group or "without name",
+            name=table.names[k],
+            offset=offset.offset,
+            sigma=offset.sigma,
+            unit=table.units[k],
+            count=offset.count,
+        )
+        for k, offset in stations
+    ]
     changes = _changes_in_time(devices)
     found += [_time_finding(table, first, k, change) for k, change in changes]
     populations = tuple(devices.population(k) for k in range(len(table.names)))
@@ -334,18 +345,6 @@ def _z(table: LineTable, k: int, known: Population) -> Floats:
     if known.count < _FEWEST:
         return np.full(len(table.entries), np.nan)
     return (table.values[:, k] - known.mean) / np.sqrt(known.spread**2 + table.sigmas[:, k] ** 2)
-
-
-def _station_finding(table: LineTable, k: int, offset: GroupOffset) -> Finding:
-    return make_finding(
-        "line-station",
-        station=offset.group or "without name",
-        name=table.names[k],
-        offset=offset.offset,
-        sigma=offset.sigma,
-        unit=table.units[k],
-        count=offset.count,
-    )
 
 
 def _time_finding(table: LineTable, first: Integers, k: int, change: TimeChange) -> Finding:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ..results.calibration import Calibration, ImuCalibration
-from .shared.flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
+from .shared.flight_parameters import FlightImu, ParameterNames, flight_losses, require_flight_imus
 from .shared.flight_temperature import ARDUPILOT_REFERENCE_DEGC
 from .shared.losses import Context, Export, Loss
 from .shared.si_units import si_conversions
@@ -43,7 +43,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         for i, imu in enumerate(list(calibration.imus.values())[:_IMUS])
         for name, value in _temperature(i, imu)
     ]
-    head = flight_head(_HEAD, calibration, context)
+    head = _HEAD.format(frame=calibration.frame) + context.comment()
     losses = (*flight_losses(calibration, "ArduPilot", _IMUS, context), *_range_losses(imus), *_start_losses(imus))
     return Export(files={FILE: head + "".join(rows)}, losses=losses)
 

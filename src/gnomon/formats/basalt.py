@@ -247,7 +247,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     OptionError
         If Basalt does not know the model of a camera, or an IMU has no accelerometer, which defines its frame.
     """
-    require_triads(calibration, "basalt", "accelerometer", otherwise="imu_tk, c-header or csv")
+    require_triads(calibration, "basalt", "accelerometer")
     moved, losses = into_frame(calibration, BasaltTriad.frame, "Basalt's")
     name = next(iter(moved.imus))
     found = (*losses, *_losses(moved), *not_representable(moved, HOLDS, context))

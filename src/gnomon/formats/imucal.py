@@ -81,7 +81,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     OptionError
         If an IMU lacks the accelerometer or the gyroscope; imucal needs both.
     """
-    require_triads(calibration, "imucal", "accelerometer", "gyroscope", otherwise="imu_tk, c-header or csv")
+    require_triads(calibration, "imucal", "accelerometer", "gyroscope")
     files = {
         f"{name}.json": json.dumps(_document(imu, calibration.frame, context.remarks), indent=4) + "\n"
         for name, imu in calibration.imus.items()

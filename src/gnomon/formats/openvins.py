@@ -125,7 +125,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     OptionError
         If OpenVINS does not know the model of a camera, or an IMU has no accelerometer, which defines its frame.
     """
-    require_triads(calibration, "openvins", "accelerometer", otherwise="imu_tk, c-header or csv")
+    require_triads(calibration, "openvins", "accelerometer")
     moved, losses = into_frame(calibration, OpenVinsAccelerometer.frame, "OpenVINS'")
     name, imu = next(iter(moved.imus.items()))
     files = {IMU_FILE: imu_chain_text(imu, context.of(name), context.comment())}

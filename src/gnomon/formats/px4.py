@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..results.calibration import Calibration, ImuCalibration
-from .shared.flight_parameters import ParameterNames, flight_head, flight_losses, require_flight_imus
+from .shared.flight_parameters import ParameterNames, flight_losses, require_flight_imus
 from .shared.losses import Context, Export, Loss
 from .shared.si_units import si_conversions
 
@@ -49,7 +49,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         for i, imu in enumerate(list(calibration.imus.values())[:_WARM_IMUS])
         for name, value, kind in _temperature(i, imu)
     ]
-    head = flight_head(_HEAD, calibration, context)
+    head = _HEAD.format(frame=calibration.frame) + context.comment()
     text = f"{head}#\n# Vehicle-Id Component-Id Name Value Type\n{''.join(rows)}"
     identity = Loss(
         what="identity of the sensor",

@@ -134,13 +134,7 @@ def _read_pose(node: Node, values: dict[str, str]) -> Floats:
 
 
 def _number(node: Node, key: str, values: dict[str, str]) -> float:
-    """Return a number of the arguments.
-
-    Raises
-    ------
-    FormatError
-        If it is none.
-    """
+    """Return a number of the arguments."""
     return Node(file=node.file, path=f"{node.path}, --{key}", value=values[key], key=key).number()
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..readers.bags.messages import IMU, ImuBlock, imu_block
+from ..readers.bags.messages import ImuBlock, imu_block
 from ..readers.bags.salvage import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, Record, follow_records
 from .sources import Arrival
 
@@ -34,7 +34,7 @@ def bag_lines(path: Path, wait: Callable[[], bool]) -> Iterator[Arrival]:
     """
     waiting: dict[str, list[Record]] = {}
     taken: dict[str, list[str]] = {}
-    for record in follow_records(path, IMU, wait):
+    for record in follow_records(path, wait):
         topic = record.channel.topic
         if topic not in taken:
             first = waiting.setdefault(topic, [])

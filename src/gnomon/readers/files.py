@@ -198,13 +198,7 @@ def read_text_file(path: Path) -> TextFile:
 
 
 def _refuse_holes(path: Path) -> None:
-    """Refuse a text file with stretches of zeros, as a copy that broke off leaves them, before all of it is read.
-
-    Raises
-    ------
-    RecordingError
-        If there are zeros where it is looked at.
-    """
+    """Refuse a text file with stretches of zeros, as a copy that broke off leaves them, before all of it is read."""
     size = path.stat().st_size
     if size < _MANY_BYTES:
         return

@@ -73,7 +73,11 @@ def _headline(counts: Counter[str]) -> str:
 
 
 def _sections(line: LineAssessment) -> Iterator[Section]:
-    yield Section("charts", "In the order of measurement", blocks=_charts(line))
+    yield Section(
+        "charts",
+        "In the order of measurement",
+        blocks=[chart_figure(line.table, line.first, k, line.populations[k]) for k in _charted(line)],
+    )
     yield Section("population", "The population", blocks=[_population_table(line)] if line.table.names else [])
     yield Section("worst", "Devices most unlike the others", blocks=[_worst_table(line)] if line.first else [])
     yield Section("stations", "Stations", blocks=[_station_table(line)] if line.first else [])
@@ -181,10 +185,6 @@ def _charted(line: LineAssessment) -> Sequence[int]:
     ratio = [known.spread / max(float(s), 1e-300) for known, s in zip(line.populations, own, strict=True)]
     rest = sorted(range(len(ratio)), key=lambda k: -ratio[k])
     return [k for k in dict.fromkeys([*named, *rest]) if line.populations[k].count > 1][:_CHARTS]
-
-
-def _charts(line: LineAssessment) -> list[Figure]:
-    return [chart_figure(line.table, line.first, k, line.populations[k]) for k in _charted(line)]
 
 
 def chart_figure(table: LineTable, first: Sequence[int], k: int, known: Population) -> Figure:

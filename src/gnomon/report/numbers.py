@@ -131,10 +131,10 @@ def highest_finite(values: Floats, otherwise: float = 0.0) -> float:
     return float(kept.max()) if kept.size else otherwise
 
 
-def estimate_text(value: float, sigma: float, unit: str = "", *, sign: bool = False) -> str:
-    """Return a value with its sigma, where it has one, and its unit, such as "414.872 ± 0.061 px"."""
+def estimate_text(value: float, sigma: float, *, sign: bool = False) -> str:
+    """Return a value with its sigma, where it has one, such as "414.872 ± 0.061"."""
     text, spread = with_sigma(value, sigma, sign=sign)
-    return (f"{text} ± {spread}" if spread else text) + (f"\u00a0{unit}" if unit else "")
+    return f"{text} ± {spread}" if spread else text
 
 
 _PRINTED = (

@@ -35,9 +35,9 @@ def gravity_text(gravity: Gravity) -> str:
     return f"{number_text(gravity.value, 7)}{spread}\u00a0m/s²"
 
 
-def aligned_matrix(name: str, values: Floats, digits: int = 9) -> str:
+def aligned_matrix(name: str, values: Floats) -> str:
     """Return a matrix as aligned text, rows in brackets."""
-    cells = [[f"{v:.{digits}g}" for v in row] for row in values.tolist()]
+    cells = [[f"{v:.9g}" for v in row] for row in values.tolist()]
     width = max(len(cell) for row in cells for cell in row)
     middle = len(cells) // 2
     return "\n".join(
@@ -74,12 +74,12 @@ def calibration_page(
     )
 
 
-def assumptions_section(calibration: Calibration, stated: Iterable[str], of: str = "this recording") -> Section:
+def assumptions_section(calibration: Calibration, stated: Iterable[str]) -> Section:
     """Return what was assumed: as stated, as the findings say, and what a prior holds."""
     points = [*stated]
     points += [typeset_finding(one).message for one in calibration.assessment.findings if one.code == "assumed"]
     if held := calibration.assessment.held_by_prior:
-        points.append(f"Not determined by {of}, and held by assumption: {', '.join(held)}.")
+        points.append(f"Not determined by this recording, and held by assumption: {', '.join(held)}.")
     return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
 
 

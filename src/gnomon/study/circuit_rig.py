@@ -117,7 +117,16 @@ def calibrated_rig(seed: int, *, levels: bool = True) -> CalibratedRig:
     simulation = simulate_camera_imu(RECORDING, seed)
     truth, sensor = Rig.of(simulation.truth), simulation.imus["imu0"].sensor
     drawn = np.random.default_rng((seed, 1)).uniform(-1.0, 1.0, 6)
-    nominal = Rig(imu=_ideal_imu(), T_cam_imu=_mounted(truth.T_cam_imu, drawn), time_shift_s=0.0)
+    nominal = Rig(
+        imu=ImuCalibration(
+            accelerometer=AccelerometerCalibration(sensitivity=np.eye(3), bias=np.zeros(3), unit="m/s^2"),
+            gyroscope=GyroscopeCalibration(
+                sensitivity=np.eye(3), bias=np.zeros(3), g_sensitivity=np.zeros((3, 3)), unit="rad/s"
+            ),
+        ),
+        T_cam_imu=_mounted(truth.T_cam_imu, drawn),
+        time_shift_s=0.0,
+    )
     found, sigma = {"nominal": nominal, "truth": truth}, np.full(len(QUANTITIES), np.nan)
     if not levels:
         return CalibratedRig(sensor=sensor, truth=truth, levels=found, sigma=sigma)
@@ -133,15 +142,6 @@ def calibrated_rig(seed: int, *, levels: bool = True) -> CalibratedRig:
     except GnomonError:
         pass  # the levels that are missing are told as missing
     return CalibratedRig(sensor=sensor, truth=truth, levels=found, sigma=sigma)
-
-
-def _ideal_imu() -> ImuCalibration:
-    return ImuCalibration(
-        accelerometer=AccelerometerCalibration(sensitivity=np.eye(3), bias=np.zeros(3), unit="m/s^2"),
-        gyroscope=GyroscopeCalibration(
-            sensitivity=np.eye(3), bias=np.zeros(3), g_sensitivity=np.zeros((3, 3)), unit="rad/s"
-        ),
-    )
 
 
 def _mounted(T_cam_imu: Floats, drawn: Floats) -> Floats:

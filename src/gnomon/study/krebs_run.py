@@ -192,15 +192,13 @@ def sense_motion(simulation: CameraImuSimulation, rig: KrebsRig, weighed_as: flo
     samples = ImuSamples(
         accelerometer=TriadSamples(t_ns=imu.accelerometer.t_ns, values=force, unit="m/s^2"),
         gyroscope=TriadSamples(t_ns=imu.gyroscope.t_ns, values=rate, unit="rad/s"),
-        noise=imu.noise if simulation.scenario.noise_factor else _table_a1(weighed_as),
+        noise=imu.noise
+        if simulation.scenario.noise_factor
+        else ImuNoise(**{name: weighed_as * getattr(THESIS_NOISE, name) for name in field_names(ImuNoise)}),
     )
     later_ns = round((simulation.scenario.time_shift_s - rig.time_shift_s) * 1e9)
     moved = replace(frames, t_ns=frames.t_ns + later_ns)
     return replace(recording, imus={"imu0": samples}, cameras={"cam0": moved})
-
-
-def _table_a1(factor: float) -> ImuNoise:
-    return ImuNoise(**{name: factor * getattr(THESIS_NOISE, name) for name in field_names(ImuNoise)})
 
 
 def _felt(simulation: CameraImuSimulation, rig: KrebsRig) -> tuple[Floats, Floats]:

@@ -119,7 +119,9 @@ def run_tedaldi_trial(task: TedaldiTrial) -> TedaldiOutcome:
     def measured(method: Method) -> MethodOutcome:
         """Return what a method makes of the recording; not numbers where it refuses."""
         try:
-            calibration = calibrate_recording(recording, method, gravity)
+            calibration = calibrate_imu(
+                recording, ImuOptions(preset=method, gravity=gravity, frame="accel-z")
+            ).calibration
         except GnomonError as error:
             nothing = SignalErrors(**{name: np.full(size, np.nan) for name, size in _SIZES.items()})
             return MethodOutcome(
@@ -147,11 +149,6 @@ def ideal_signals(task: TedaldiTrial, truth: Calibration) -> TrueSignals:
 
 
 _SIZES = {name: 3 if name in ("force", "rate") else 2 for name in field_names(SignalErrors)}
-
-
-def calibrate_recording(recording: Recording, method: Method, gravity: float) -> Calibration:
-    """Calibrate a recording in Tedaldi's body frame."""
-    return calibrate_imu(recording, ImuOptions(preset=method, gravity=gravity, frame="accel-z")).calibration
 
 
 def recorded_samples(recording: Recording) -> tuple[Floats, Floats]:

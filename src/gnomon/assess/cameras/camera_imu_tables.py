@@ -9,7 +9,7 @@ from ...estimate.camera_imu.choices import estimation_choices
 from ...estimate.camera_imu.layout import block_coordinates, parameter_blocks
 from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.publish import PublishedRig
-from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertain
+from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertain_gravity
 from ...estimate.camera_imu.solution import Solution, frame_mean_square
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
@@ -133,7 +133,7 @@ def _scene(evidence: CameraImuFitSummary, estimated: tuple[EstimatedParameter, .
 def _covariance(evidence: CameraImuFitSummary) -> Floats:
     """Return the covariance of the free parameters, the uncertainty of gravity included."""
     count = len(evidence.uncertainty.names)
-    return with_uncertain(evidence.uncertainty, "gravity.magnitude", evidence.gravity.sigma)[:count, :count]
+    return with_uncertain_gravity(evidence.uncertainty, evidence.gravity.sigma)[:count, :count]
 
 
 def _parameters(evidence: CameraImuFitSummary) -> tuple[EstimatedParameter, ...]:

@@ -42,7 +42,11 @@ def assess_camera_imu(
     diagnostics : its tables
     """
     fit = _fit(evidence, diagnostics)
-    held = _held_by_prior(diagnostics)
+    held = tuple(
+        p.name
+        for p in diagnostics.parameters
+        if p.status == "estimated" and np.isfinite(p.prior_sigma) and p.sigma > _HELD * p.prior_sigma
+    )
     findings = [
         *(finding for finding in noticed if finding.severity != "good"),
         *_convergence(evidence),
@@ -121,14 +125,6 @@ def _rotation(evidence: CameraImuFitSummary) -> list[Finding]:
         if score < _EXPLAINED and not fits:
             findings.append(make_finding("rotation-disagrees", score=max(score, 0), name=look.name))
     return findings
-
-
-def _held_by_prior(diagnostics: CameraImuDiagnostics) -> tuple[str, ...]:
-    return tuple(
-        p.name
-        for p in diagnostics.parameters
-        if p.status == "estimated" and np.isfinite(p.prior_sigma) and p.sigma > _HELD * p.prior_sigma
-    )
 
 
 def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> list[Finding]:

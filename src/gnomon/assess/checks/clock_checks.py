@@ -81,7 +81,16 @@ def check_clocks(arrivals: Mapping[str, Arrivals]) -> tuple[Finding, ...]:
     findings += _copied([name for name, stream in arrivals.items() if _is_copied(stream)])
     findings += _jump_findings(jumps, arrivals)
     for name, fit in fits.items():
-        findings += _fit_findings(name, fit)
+        findings += [
+            make_finding(
+                "clock/recorder",
+                name=name,
+                slope=fit.slope,
+                sigma=fit.sigma,
+                spread=_time(fit.spread_s),
+                latest=_time(fit.latest_s),
+            )
+        ]
     return (*findings, *_drifts(fits, arrivals))
 
 
@@ -219,7 +228,11 @@ def _jump_findings(jumps: Mapping[str, tuple[_Jump, ...]], arrivals: Mapping[str
             shared = len(jumps) > 1 and all(_has(jump, name, jumps[other], other, arrivals) for other in jumps)
             if shared and name != next(iter(jumps)):
                 continue
-            findings.append(_recorder_jump(jump) if shared else _stream_jump(name, jump))
+            findings.append(
+                make_finding("clock-jump/recorder", size_s=jump.size_s, at_s=jump.at_s)
+                if shared
+                else make_finding("clock-jump/stream", name=name, size_s=-jump.size_s, at_s=jump.at_s)
+            )
     return findings
 
 
@@ -230,27 +243,6 @@ def _has(jump: _Jump, name: str, others: tuple[_Jump, ...], other: str, arrivals
         and abs(one.size_s - jump.size_s) < _SAME_JUMP * abs(jump.size_s)
         for one in others
     )
-
-
-def _recorder_jump(jump: _Jump) -> Finding:
-    return make_finding("clock-jump/recorder", size_s=jump.size_s, at_s=jump.at_s)
-
-
-def _stream_jump(name: str, jump: _Jump) -> Finding:
-    return make_finding("clock-jump/stream", name=name, size_s=-jump.size_s, at_s=jump.at_s)
-
-
-def _fit_findings(name: str, fit: ClockFit) -> list[Finding]:
-    return [
-        make_finding(
-            "clock/recorder",
-            name=name,
-            slope=fit.slope,
-            sigma=fit.sigma,
-            spread=_time(fit.spread_s),
-            latest=_time(fit.latest_s),
-        )
-    ]
 
 
 def _time(seconds: float) -> str:

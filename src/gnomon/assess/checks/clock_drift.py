@@ -53,7 +53,10 @@ def look_at_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s:
     drift = clock_drift(poses, stream, time_shift_s)
     if drift is None:
         return early_drift(name, poses, stream, time_shift_s, imu)
-    return [_warning(name, imu, poses, drift) or _steady(name, imu, drift)]
+    return [
+        _warning(name, imu, poses, drift)
+        or make_finding("clock/together", name=name, imu=imu, drift=drift.drift, sigma=drift.sigma)
+    ]
 
 
 def check_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
@@ -74,10 +77,6 @@ def _warning(name: str, imu: str, poses: BoardPoses, drift: ClockDrift) -> Findi
     length_s = float(poses.t_s[-1] - poses.t_s[0])
     how = "by the rotation that both felt"
     return drift_finding(name, imu, drift=drift.drift, sigma=drift.sigma, length_s=length_s, how=how)
-
-
-def _steady(name: str, imu: str, drift: ClockDrift) -> Finding:
-    return make_finding("clock/together", name=name, imu=imu, drift=drift.drift, sigma=drift.sigma)
 
 
 def clock_drift(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> ClockDrift | None:

@@ -44,7 +44,15 @@ def pose_findings(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding
                 continue
             distance = _distance(one.T, other.T)
             if _distance(invert_matrix(one.T), other.T) < _INVERSE * distance:
-                yield _inverted(name, first.name, second.name, one.link)
+                yield make_finding(
+                    "pose-inverted",
+                    link=one.link,
+                    sensor=name,
+                    first=first.name,
+                    second=second.name,
+                    other_way=_OTHER_WAY.get(one.link, ""),
+                    convention=_POSES.get(one.link, _POSES["T_cam_cam0"]),
+                )
             shifts = one.shift_s, other.shift_s
             if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):
                 yield make_finding(
@@ -94,18 +102,6 @@ _POSES = {
     "T_cam_cam0": "p_cam = T_cam_cam0 p_cam0, and from each camera to the next p_cn = T_cn_cnm1 p_cnm1.",
     "T_imu_body": "p_imu = T_imu_body p_imu0, which Kalibr calls T_i_b.",
 }
-
-
-def _inverted(sensor: str, first: str, second: str, link: str) -> Finding:
-    return make_finding(
-        "pose-inverted",
-        link=link,
-        sensor=sensor,
-        first=first,
-        second=second,
-        other_way=_OTHER_WAY.get(link, ""),
-        convention=_POSES.get(link, _POSES["T_cam_cam0"]),
-    )
 
 
 def _distance(first: Floats, second: Floats) -> float:

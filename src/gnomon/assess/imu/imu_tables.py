@@ -349,7 +349,7 @@ def _noise(evidence: ImuFitSummary) -> dict[str, float]:
     }
 
 
-def interval_numbers(marked: Booleans, most: int = 8) -> str:
+def interval_numbers(marked: Booleans) -> str:
     """Return "3, 7 and 12": the numbers, counted from 1 as in the report, of marked intervals."""
     numbers = [str(k + 1) for k in np.flatnonzero(marked)]
-    return list_first(numbers, most) if len(numbers) > most else join_names(numbers) or "none"
+    return list_first(numbers, 8) if len(numbers) > 8 else join_names(numbers) or "none"

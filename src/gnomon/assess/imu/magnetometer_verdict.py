@@ -115,7 +115,10 @@ def assess_field(
         *_held_findings(evidence),
         *_prior_findings(evidence, known),
         *parts_disagree(evidence.trust.trust.splits),
-        *bias_findings(evidence.trust.instabilities, {"magnetometer": _unit_per_field(evidence)}),
+        *bias_findings(
+            evidence.trust.instabilities,
+            {"magnetometer": mean_scale(evidence.fit.iron.sensitivity) * evidence.strength},
+        ),
         *convergence_findings(fit.iron.converged, fit.iron.iterations),
     ]
     assessment = Assessment(
@@ -127,10 +130,6 @@ def assess_field(
         trust=uncertainty_summary(evidence.trust.trust),
     )
     return with_verdict(assessment, findings)
-
-
-def _unit_per_field(evidence: FieldFitSummary) -> float:
-    return mean_scale(evidence.fit.iron.sensitivity) * evidence.strength
 
 
 def _holdout_findings(evidence: FieldFitSummary) -> list[Finding]:

@@ -107,13 +107,7 @@ def _start(poses: Poses, options: ImuOptions) -> tuple[Floats, str]:
 
 
 def _sensor(fit: AngrisanoFit, poses: Poses) -> tuple[AccelerometerCalibration, Floats]:
-    """Return the sensor, also that of a wrong minimum, which a finding condemns.
-
-    Raises
-    ------
-    SolveError
-        If the parameters are not numbers that make a sensor.
-    """
+    """Return the sensor, also that of a wrong minimum, which a finding condemns."""
     if fit.status == "mirrored":
         fit = replace(fit, parameters=canonical_parameters(fit.parameters, fit.geometry))
     try:

@@ -243,7 +243,7 @@ def select_model(
         except SolveError as error:
             if not asked:
                 raise
-            failed[_least(steps, asked)] = str(error)
+            failed[min(asked, key=lambda name: steps[name].gain - steps[name].needed)] = str(error)
         else:
             rounds, inside = rounds - 1, asked
             steps |= {step.name: step for step in judged.steps}
@@ -271,11 +271,6 @@ def _in_turn(asked: tuple[str, ...], inside: tuple[str, ...]) -> tuple[str, ...]
     """Return the steps to take next: the exposure last, for what is left out of lens and board may look like one."""
     others = tuple(name for name in asked if name != EXPOSURE)
     return asked if EXPOSURE in inside or set(others) <= set(inside) else others
-
-
-def _least(steps: Mapping[str, ModelStep], asked: Sequence[str]) -> str:
-    """Return the step that proves itself least."""
-    return min(asked, key=lambda name: steps[name].gain - steps[name].needed)
 
 
 def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool], *, promising: bool = False) -> tuple[str, ...]:

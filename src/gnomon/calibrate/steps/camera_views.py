@@ -19,6 +19,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 
 _FOLDS = 5
+_MOST_TO_CHOOSE_BY = 40  # views by which the lens model is chosen
 _BAD = 4.0
 """Median distance of the corners of a frame over the usual one, from which on it fits badly as a whole."""
 
@@ -53,10 +54,12 @@ class Start:
         return self.every.where(self.used)
 
 
-def select_views(views: RigViews, name: str, most: int) -> RigViews:
-    """Return views of one camera alone, evenly spread over time and not more than `most`."""
+def select_views(views: RigViews, name: str) -> RigViews:
+    """Return views of one camera alone by which its lens model is chosen, evenly spread over time."""
     own = gathered_views({name: views.cameras[name]}, views.target)
-    return own.where(np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(np.int64)))
+    return own.where(
+        np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_TO_CHOOSE_BY)).round().astype(np.int64))
+    )
 
 
 def first_rig_of_views(views: RigViews, lenses: Mapping[str, Camera], most: int | None) -> Start:

@@ -296,7 +296,7 @@ def _motion(name: str, tracks: PointTracks, camera: Camera, t_s: Floats, stream:
             "all of them while it records."
         )
     try:
-        poses = turning_poses(t_s, R[:neighbours], known[:neighbours])
+        poses = turning_poses(t_s, R[:neighbours])
         alignment = align_camera(poses, gyroscope_integral(stream.t_s, stream.rate), name)
     except InitialisationError as error:
         raise InitialisationError(

@@ -334,13 +334,7 @@ def _statistics(triads: list[TriadSamples], pieces: list[Piece], windows: list[i
 def _reasons(
     accelerometer: TriadSamples, pieces: tuple[Piece, ...], rests: list[StaticIntervals], clipped: Booleans
 ) -> list[str]:
-    """Return why a file gives no pose, or "".
-
-    Raises
-    ------
-    RecordingError
-        If most files hold several attitudes: they are whole recordings.
-    """
+    """Return why a file gives no pose, or ""; refuse it where most files are whole recordings of several attitudes."""
     means = [interval_means(accelerometer.values, r) for r in rests]
     everything = np.concatenate(means)
     size = float(np.max(np.ptp(everything, axis=0), initial=0.0)) if len(everything) else 0.0

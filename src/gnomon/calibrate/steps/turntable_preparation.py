@@ -93,13 +93,7 @@ def _with_temperature(
 
 
 def _refuse_alike(means: Floats, streams: Sequence[PlatterStream]) -> None:
-    """Refuse parts that all show the same, whatever the unit.
-
-    Raises
-    ------
-    DetectionError
-        If they do.
-    """
+    """Refuse parts that all show the same, whatever the unit."""
     if len(means) < 2:
         return
     size = largest_rate([stream.gyroscope for stream in streams])
@@ -201,13 +195,7 @@ def _refuse_unlike(
     streams: Sequence[PlatterStream],
     unit: str,
 ) -> None:
-    """Refuse recordings in which nothing turns as stated.
-
-    Raises
-    ------
-    DetectionError
-        If nothing turns, what turns is saturated but for fewer parts than there are axes, or turns at other speeds.
-    """
+    """Refuse recordings in which nothing turns as stated."""
     values = np.array([rate.rate_rad_s for rate in speeds])
     turning = (found.index != NO_SPEED) & (values[found.index] > 0)
     stated = " and ".join(f"{rate.name} ({rate.rate_rad_s:.4g} rad/s)" for rate in speeds[:-1])

@@ -40,15 +40,15 @@ def parse_line(command: Any, words: Sequence[str], prog: str) -> Any:
         sys.stdout.write(format_help(command, prog))
         raise SystemExit(0)
     values = dict(_values(LineParser(prog=prog), entries, words))
-    absent = [_with_choices(entry) for entry in entries if entry.default is MISSING and entry.place not in values]
+    absent = [
+        f"{entry.called} {' | '.join(entry.choices)}" if entry.choices else entry.called
+        for entry in entries
+        if entry.default is MISSING and entry.place not in values
+    ]
     if absent:
         are = "is" if len(absent) == 1 else "are"
         raise OptionError(f"{join_names(absent)} {are} missing. {prog} --help shows the options, and examples.")
     return build_command(command, values, command.base_values(values))
-
-
-def _with_choices(entry: Entry) -> str:
-    return f"{entry.called} {' | '.join(entry.choices)}" if entry.choices else entry.called
 
 
 class _TakesArguments(Protocol):

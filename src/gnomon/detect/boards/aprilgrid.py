@@ -56,7 +56,6 @@ from .tags import BITS, Tags, likeness_of, read_tags, square_to_quads
 _FEWEST_TAGS, _FEWEST_CORNERS = 2, 6  # a tag that is alone might be any
 _REPEATED, _LARGER = 2, 2.0  # tags that are there again; how much smaller a picture of the board is, by its sides
 _ENOUGH = 3  # tags; with fewer, the image is looked through in other ways, too
-_MOST_STARTS = 8
 _COARSE_PX = 13.0
 _DOUBTS = 0.5
 _ASKED = 9  # tags that tell whether there are squares
@@ -154,7 +153,7 @@ def _largest(image: Grey, target: Target, tags: Tags) -> "tuple[TagGrid | None, 
     Of two that are about as large the first is the same one in each image (`comes_first`).
     """
     first = None
-    for members in group_tags(target, tags.number, tags.corners, _MOST_STARTS) if len(tags) else []:
+    for members in group_tags(target, tags.number, tags.corners) if len(tags) else []:
         again = members if first is None else members[first.is_again(tags)[members]]
         if len(again) < (1 if first is None else _REPEATED):
             continue

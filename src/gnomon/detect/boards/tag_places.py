@@ -15,6 +15,7 @@ TAG = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 _MIDDLE = np.array([[0.5, 0.5]])
 _APART_PX, _APART = 1.5, 0.35  # how far, in px and in tags, a tag may be from where another one says
+_MOST_GROUPS = 8
 _REACH = 2  # tags; farther neighbours do not judge each other
 _AROUND = ((20, 3), (16, 2), (10, 2), (6, 1))  # so many corners tell where another one is, by so high a polynomial
 _WIDER = 1.2  # where a corner would have no weight, over the distance of the farthest one that is asked
@@ -67,8 +68,8 @@ def _steps(target: Target, by: Integers, of: Integers) -> tuple[Integers, Intege
     return other_col - col[:, None], other_row - row[:, None]
 
 
-def group_tags(target: Target, number: Integers, corners: Floats, most: int) -> list[Integers]:
-    """Return which tags agree with each other on where they are: so many groups of indices at most, the largest first.
+def group_tags(target: Target, number: Integers, corners: Floats) -> list[Integers]:
+    """Return which tags agree with each other on where they are: some groups of indices, the largest first.
 
     A tag that is twice in a group is there once, as more of the others say.
     """
@@ -80,7 +81,7 @@ def group_tags(target: Target, number: Integers, corners: Floats, most: int) -> 
     agrees &= agrees.T
     group = connected_tags(agrees)
     sizes = np.bincount(group)
-    largest = np.argsort(-sizes, kind="stable")[: min(most, np.count_nonzero(sizes))]
+    largest = np.argsort(-sizes, kind="stable")[: min(_MOST_GROUPS, np.count_nonzero(sizes))]
     return [once_each(np.flatnonzero(group == name), number, agrees) for name in largest.tolist()]
 
 

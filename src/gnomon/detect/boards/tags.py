@@ -138,9 +138,7 @@ def read_tags(image: Grey, quads: Floats, *, border_bits: int = 2, first: int = 
         leading, score = scores.argmax(axis=1), scores.max(axis=1)
         sure = np.flatnonzero(score > least)
         if blur > _BLURS[0]:  # sharp codes are not alike
-            sure = sure[
-                _surest(code[open_[sure]], first + leading[sure] // 4, score[sure], _MARGIN, (blur, border_bits))
-            ]
+            sure = sure[_surest(code[open_[sure]], first + leading[sure] // 4, score[sure], (blur, border_bits))]
         best[open_[sure]], likeness[open_[sure]] = leading[sure], score[sure]
     read = np.flatnonzero(likeness)
     number, turn = np.divmod(best[read], 4)
@@ -155,11 +153,11 @@ def _turned_back(quads: Floats, turn: Integers) -> Floats:
     return np.take_along_axis(quads, order[:, :, None], 1)
 
 
-def _surest(code: Floats, number: Integers, score: Floats, margin: float, blurred: tuple[float, int]) -> np.ndarray:
+def _surest(code: Floats, number: Integers, score: Floats, blurred: tuple[float, int]) -> np.ndarray:
     """Return which codes are clearly less like all other tags of the family."""
     scores = (code @ _turned_codes(0, FAMILY, *blurred)).reshape(-1, FAMILY, 4)
     scores[np.arange(len(code)), number] = -1
-    return score > scores.max(axis=(1, 2)) + margin
+    return score > scores.max(axis=(1, 2)) + _MARGIN
 
 
 def likeness_of(image: Grey, corners: Floats, number: Integers, border_bits: int = 2) -> Floats:

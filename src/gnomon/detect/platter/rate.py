@@ -232,13 +232,7 @@ class _Candidate:
 
 
 def _resolved(series: PictureSeries, followed: Followed, pattern: PatternTurn, nominal: float | None) -> _Candidate:
-    """Return the rate that the video shows.
-
-    Raises
-    ------
-    DetectionError
-        If no rate, or more than one, fits what is known.
-    """
+    """Return the rate that the video shows; a DetectionError if none, or more than one, fits what is known."""
     seen = followed.even.line.rate
     frames = 2 * np.pi / float(np.median(np.diff(series.t_s)))
     folds = [Fraction(n) for n in range(1, _MOST_PER_TURN + 1)] if pattern.per_turn is None else [pattern.per_turn]

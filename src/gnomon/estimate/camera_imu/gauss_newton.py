@@ -177,7 +177,6 @@ def line_search(
     noise: NoiseLevels,
     *,
     layout: BorderLayout,
-    probing: bool,
     workspace: Workspace,
     damped: float = 0.0,
 ) -> tuple[RigState, NormalEquations, list[Iteration]]:
@@ -186,7 +185,7 @@ def line_search(
     Parameters
     ----------
     lin, state, step : where the step starts, and the undamped step
-    layout, probing : for the linearisation after the step
+    layout : for the linearisation after the step
     workspace : of all linearisations; `lin.system` is used up
     damped : by which the step before was damped: only a little less than that is tried again
 
@@ -203,7 +202,7 @@ def line_search(
 
     def after(taken: GaussNewtonStep) -> tuple[RigState, NormalEquations]:
         there = apply_step(state, lin.layout, taken)
-        return there, linearize_batch(measurements, there, layout, noise, probing=probing, workspace=workspace)
+        return there, linearize_batch(measurements, there, layout, noise, probing=True, workspace=workspace)
 
     tried: list[Iteration] = []
     least = max((damping for damping in _DAMPINGS if damping < damped), default=0.0)

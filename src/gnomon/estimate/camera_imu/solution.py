@@ -202,7 +202,6 @@ def minimise_cost(
             step,
             noise,
             layout=extended,
-            probing=True,
             workspace=workspace,
             damped=iterations[-1].damping if iterations else 0.0,
         )

@@ -77,14 +77,14 @@ def _turn_between(first: Floats, second: Floats, tolerance: float) -> tuple[Floa
     return np.asarray(R, np.float64), moved, count >= FEWEST_SHARED
 
 
-def turning_poses(t_s: Floats, R: Floats, known: np.ndarray) -> BoardPoses:
+def turning_poses(t_s: Floats, R: Floats) -> BoardPoses:
     """Return the attitudes of a camera, from the first image on, as the alignment with a gyroscope takes them.
 
     Parameters
     ----------
     t_s : (n,) timestamps [s]
-    R : (n - 1, 3, 3) rotation from each camera frame to the next
-    known : (n - 1,) whether it is one; elsewhere the camera seems to stand still, for which the alignment is robust
+    R : (n - 1, 3, 3) rotation from each camera frame to the next; where it is not known the camera seems to stand
+        still, for which the alignment is robust
     """
     attitudes = np.empty((len(t_s), 3, 3))
     attitudes[0] = np.eye(3)

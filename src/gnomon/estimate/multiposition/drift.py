@@ -140,12 +140,12 @@ def accelerometer_drifts(t_s: Floats, measured: Floats, sensitivity: Floats, bia
     moving, moving_left_out = _remaining(np.concatenate([constant, time * pull], axis=1), length - 1)
     freedom = n - 12
     ratio = (still - moving) / 3 / max(moving / freedom, np.finfo(float).tiny)
-    return _chance_of_ratio(ratio, 3, freedom) < _CHANCE and moving_left_out < left_out
+    return _chance_of_ratio(ratio, freedom) < _CHANCE and moving_left_out < left_out
 
 
-def _chance_of_ratio(ratio: float, above: int, below: int) -> float:
-    """Return how often a ratio of variances is larger by chance, by Paulson's approximation of the F distribution."""
-    one, two = 2 / (9 * above), 2 / (9 * below)
+def _chance_of_ratio(ratio: float, freedom: int) -> float:
+    """Return how often a ratio F(3, freedom) is larger by chance, by Paulson's approximation of the F distribution."""
+    one, two = 2 / (9 * 3), 2 / (9 * freedom)
     root = max(ratio, 0.0) ** (1 / 3)
     return 1 - NormalDist().cdf(((1 - two) * root - (1 - one)) / float(np.sqrt(two * root**2 + one)))
 

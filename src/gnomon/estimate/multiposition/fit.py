@@ -467,7 +467,7 @@ def _estimate_extra_variance(
         solved = point.lines.extrapolated(_parameter_step(task, arrow), arrow.states)
         old = extra
         extra = estimate_extra_variance(task.data, point.state, solved, arrow, whitening, free=task.free, robust=False)
-        if old.agrees_with(extra, 0.05):
+        if old.agrees_with(extra):
             break
     return extra
 

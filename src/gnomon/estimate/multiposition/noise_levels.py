@@ -87,10 +87,10 @@ class ExtraVariance:
     gyroscope: float = 0.0
     rotation: float = 0.0
 
-    def agrees_with(self, other: "ExtraVariance", tolerance: float) -> bool:
-        """Return whether all three agree to a relative tolerance."""
+    def agrees_with(self, other: "ExtraVariance") -> bool:
+        """Return whether all three agree to 5 %."""
         pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)]
-        return all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
+        return all(abs(a - b) <= 0.05 * max(a, b) for a, b in pairs)
 
 
 def whitened_rest(data: MultiPositionData, state: MultiPositionState, extra: ExtraVariance) -> tuple[Floats, Floats]:

@@ -305,7 +305,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         text = lens_chain_text(calibration, context.comment())
         losses = (*k3_losses(calibration, "Kalibr"), uncertainty_loss("Kalibr"))
         return Export(files={LENS_FILE: text}, losses=losses)
-    require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
+    require_triads(calibration, "kalibr", "accelerometer")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
     found = (*losses, *_pose_losses(moved), *not_representable(moved, HOLDS, context))
     files = {IMU_FILE: imu_text(moved, context.stated, context.comment())}

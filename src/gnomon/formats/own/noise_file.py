@@ -180,7 +180,10 @@ def noise_document(noise: SensorNoise) -> dict[str, Any]:
 def _triad_document(sensor: str, triad: TriadNoise) -> dict[str, Any]:
     axes = {
         name: {
-            **{key: _coefficient_document(found) for key, found in axis.coefficients().items()},
+            **{
+                key: ({"value": found.value, "sigma": found.sigma} if found.found else {"below": found.bound})
+                for key, found in axis.coefficients().items()
+            },
             "fitted_from": axis.fitted_from_s,
             "misfit": axis.misfit,
         }
@@ -199,10 +202,6 @@ def _triad_document(sensor: str, triad: TriadNoise) -> dict[str, Any]:
         "random_walk_per_sample": triad.random_walk / sqrt(triad.rate_hz),
         "axes": axes,
     }
-
-
-def _coefficient_document(found: Coefficient) -> dict[str, float]:
-    return {"value": found.value, "sigma": found.sigma} if found.found else {"below": found.bound}
 
 
 def kalibr_input_text(noise: SensorNoise, topic: str) -> str:

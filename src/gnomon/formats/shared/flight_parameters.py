@@ -181,11 +181,6 @@ class ParameterNames:
                 yield name.format(axis=axis), value
 
 
-def flight_head(head: str, calibration: Calibration, context: Context) -> str:
-    """Return the comment above the parameters: `head` with the frame filled in, and the origin."""
-    return head.format(frame=calibration.frame) + context.comment()
-
-
 def flight_losses(calibration: Calibration, whose: str, most: int, context: Context) -> Iterator[Loss]:
     """Yield what these parameters cannot represent."""
     for name, imu in list(calibration.imus.items())[:most]:

@@ -260,7 +260,7 @@ def place_camera(T_imu_cam: Floats, shift_s: float, camera: Camera) -> CameraCal
     return CameraCalibration(T_cam_body=inverse_pose(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
 
 
-def read_numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:
+def read_numbers(node: Node, names: tuple[str, ...]) -> Floats:
     """Return numbers under keys.
 
     Raises
@@ -269,7 +269,7 @@ def read_numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats
         If one is missing.
     """
     keys = {child.key: child for child in node.entries()}
-    return np.array([required_value(keys, f"{prefix}{name}", node, "a number").number() for name in names])
+    return np.array([required_value(keys, name, node, "a number").number() for name in names])
 
 
 def read_lens(

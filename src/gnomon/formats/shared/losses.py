@@ -48,13 +48,8 @@ class Export:
     losses: tuple[Loss, ...] = field(default=())
 
 
-def require_triads(calibration: Calibration, format_name: str, *triads: str, otherwise: str) -> None:
+def require_triads(calibration: Calibration, format_name: str, *triads: str) -> None:
     """Refuse a calibration whose IMUs lack a triad that a format cannot do without.
-
-    Parameters
-    ----------
-    triads : "accelerometer", "gyroscope"
-    otherwise : the formats that can do without
 
     Raises
     ------
@@ -66,7 +61,7 @@ def require_triads(calibration: Calibration, format_name: str, *triads: str, oth
         if missing is not None:
             raise OptionError(
                 f"{format_name} needs {' and '.join(triads)}, and this calibration holds no {missing} of {name}. "
-                f"Convert to {otherwise}, or calibrate {missing} too."
+                f"Convert to imu_tk, c-header or csv, or calibrate {missing} too."
             )
 
 
@@ -222,9 +217,9 @@ class Context:
         return "".join(f"{mark}{line}\n" for line in self.lines())
 
 
-def file_remarks(calibration: Calibration, *, cameras: bool = True) -> tuple[str, ...]:
+def file_remarks(calibration: Calibration) -> tuple[str, ...]:
     """Return the sentences that every file of a calibration has to carry; see `remark_losses`."""
-    return loss_sentences(remark_losses(calibration, cameras=cameras))
+    return loss_sentences(remark_losses(calibration))
 
 
 def loss_sentences(losses: Iterable[Loss]) -> tuple[str, ...]:

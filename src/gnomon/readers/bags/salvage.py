@@ -17,7 +17,7 @@ from typing import BinaryIO, NamedTuple
 
 from ...errors import RecordingError
 from ...frozen import value_class
-from .messages import Wire, unpack_bytes
+from .messages import IMU, Wire, unpack_bytes
 
 ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ROS1_MESSAGE, _ROS1_HEADER, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 3, 5, 7
@@ -137,13 +137,12 @@ def read_records(path: Path, wanted: Collection[str] | None, outcome: Outcome) -
         outcome.read = outcome.size - source.left
 
 
-def follow_records(path: Path, kind: str, wait: Callable[[], bool]) -> Iterator[Record]:
-    """Yield the messages of a file that another program writes meanwhile, those of one type with their bytes.
+def follow_records(path: Path, wait: Callable[[], bool]) -> Iterator[Record]:
+    """Yield the messages of a file that another program writes meanwhile, those of IMUs with their bytes.
 
     Parameters
     ----------
     path : a ROS 1 bag or an MCAP file
-    kind : of the messages, such as sensor_msgs/Imu
     wait : waits for more, and returns whether to go on
 
     Raises
@@ -162,7 +161,7 @@ def follow_records(path: Path, kind: str, wait: Callable[[], bool]) -> Iterator[
         if head != MCAP_MAGIC:
             source.take(len(ROS1_MAGIC) - len(head))
         walk = _McapWalk if head == MCAP_MAGIC else _Ros1Walk
-        yield from walk(path.name, lambda channel: channel.kind == kind, Outcome()).records(source)
+        yield from walk(path.name, lambda channel: channel.kind == IMU, Outcome()).records(source)
 
 
 class _GrowingBytes(_Bytes):

@@ -128,7 +128,9 @@ def _binary(data: bytes, name: str) -> tuple[dict[str, _Messages], int]:
         kind = data[place + 2]
         if kind == _FMT:
             body = data[place + 3 : place + size]
-            label, formats, columns = (_text_of(part) for part in (body[2:6], body[6:22], body[22:86]))
+            label, formats, columns = (
+                part.split(b"\0")[0].decode("ascii", "replace") for part in (body[2:6], body[6:22], body[22:86])
+            )
             sizes[body[0]] = body[1]
             if label in _WANTED and body[0] not in wanted and _size(formats) == body[1] - 3:
                 wanted[body[0]] = found[label] = _Messages(columns.split(","), formats)
@@ -142,10 +144,6 @@ def _size(formats: str) -> int:
     """Return the bytes of a message's fields; 0 where a type is not known."""
     kinds = [_TYPES.get(letter) for letter in formats]
     return 0 if None in kinds else sum(np.dtype(kind[0]).itemsize * kind[1] for kind in kinds if kind is not None)
-
-
-def _text_of(part: bytes) -> str:
-    return part.split(b"\0")[0].decode("ascii", "replace")
 
 
 def _text(data: bytes) -> dict[str, _Messages]:

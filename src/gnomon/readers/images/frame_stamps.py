@@ -193,12 +193,12 @@ def _name_column(layout: TextLayout, files: Sequence[str]) -> int | None:
     best = int(np.argmax(share))
     if share[best] > 0.5:
         return best
-    texts = [i for i in range(layout.columns) if all(_like_a_file(row[i]) for row in layout.sample)]
+    texts = [
+        i
+        for i in range(layout.columns)
+        if all(re.fullmatch(r'.*\.[A-Za-z]\w{1,4}"?', row[i]) is not None for row in layout.sample)
+    ]
     return texts[0] if texts else None
-
-
-def _like_a_file(token: str) -> bool:
-    return re.fullmatch(r'.*\.[A-Za-z]\w{1,4}"?', token) is not None
 
 
 def _stamp_column(layout: TextLayout, named: int | None, where: str) -> tuple[int, str | None]:

@@ -53,13 +53,7 @@ def recording_files(paths: Sequence[str | Path]) -> list[Path]:
 
 
 def _recording_in(folder: Path) -> tuple[Path, ...]:
-    """Return the file, or the accelerometer and gyroscope files, that a folder holds.
-
-    Raises
-    ------
-    RecordingError
-        If there is no recording in the folder, or more than one.
-    """
+    """Return the file, or the accelerometer and gyroscope files, that a folder holds."""
     known = known_layout(folder)
     if known is not None:
         return (known,)

@@ -370,9 +370,9 @@ def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, 
     return sheet.draw(name, 550, alt)
 
 
-def _some(x: Floats, y: Floats, most: int = 600) -> tuple[Floats, Floats]:
+def _some(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return points (n,), of many such only some at equal distances, and the farthest of all."""
-    step = -(-len(x) // most)
+    step = -(-len(x) // 600)
     if step <= 1:
         return x, y
     far = np.argsort(-np.nan_to_num(np.abs(y)), kind="stable")[:20]

@@ -19,14 +19,12 @@ _GAP, _TOP, _HEIGHT = 32.0, 40.0, 118.0
 _PITCH = _HEIGHT + 84
 
 
-def _histograms(
-    name: str, samples: Sequence[KrebsSample], symbol: str, *, factor: float, unit: str, truth: Floats
-) -> Plot:
+def _histograms(name: str, samples: Sequence[KrebsSample], symbol: str, *, unit: str, truth: Floats) -> Plot:
     """Draw histograms of the estimates of a vector, a row for each series, with fitted normal distributions.
 
     Parameters
     ----------
-    factor, unit : of what is shown
+    unit : of what is shown, a thousandth of that of the estimates
     truth : (3,), marked by a line; the errors count from there
     """
     place = group_columns(symbol)
@@ -34,11 +32,11 @@ def _histograms(
     sheet = Sheet()
     for row, sample in enumerate(samples):
         for k, axis in enumerate(AXES):
-            values = factor * (truth[k] + sample.errors[:, place.start + k])
+            values = 1e3 * (truth[k] + sample.errors[:, place.start + k])
             panel = _third(sheet, f"{sample.series.name}: {axis} [{unit}]", row, k)
             _histogram(panel, values, axis)
             _normal(panel, values, "ink")
-            panel.upright(factor * float(truth[k]), "accent", width=1.6, dash=_DASHED)
+            panel.upright(1e3 * float(truth[k]), "accent", width=1.6, dash=_DASHED)
     alt = f"Histograms of {symbol} in {unit} of {', '.join(sample.series.name for sample in samples)}, three axes."
     return sheet.draw(name, _PITCH * len(samples), alt)
 
@@ -121,9 +119,9 @@ def _hold(panel: Panel, low: float, high: float, top: float) -> None:
 
 def draw_translation(study: KrebsStudy) -> Plot:
     """Draw p_cb at each noise level (Figs. 5.2 and B.1)."""
-    return _histograms("p-cb", study.noise_levels, "p_cb", factor=1e3, unit="mm", truth=KrebsRig().T_cam_imu[:3, 3])
+    return _histograms("p-cb", study.noise_levels, "p_cb", unit="mm", truth=KrebsRig().T_cam_imu[:3, 3])
 
 
 def draw_scale_errors(study: KrebsStudy) -> Plot:
     """Draw the errors of S_a at each noise level (Fig. B.2)."""
-    return _histograms("s-a", study.noise_levels, "S_a", factor=1e3, unit="10⁻³", truth=np.zeros(3))
+    return _histograms("s-a", study.noise_levels, "S_a", unit="10⁻³", truth=np.zeros(3))

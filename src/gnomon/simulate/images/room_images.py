@@ -282,12 +282,12 @@ def _seen(face: Singles, rays: Singles, extent: Singles, texel_m: float) -> tupl
     step = np.abs(np.diff(uv, axis=2)).max(axis=1)[inside[:, 1:] & inside[:, :-1]] / (_GRID * texel_m)
     texels = float(np.median(step)) if len(step) else 1.0
     return (rows, cols), int(
-        np.clip(np.floor(np.log2(max(texels / _SHARPEST, 1e-3)) + 1), 0, _coarsest(extent, texel_m))
+        np.clip(
+            np.floor(np.log2(max(texels / _SHARPEST, 1e-3)) + 1),
+            0,
+            max(0, int(np.log2(float(extent.min()) / texel_m)) - 3),
+        )
     )
-
-
-def _coarsest(extent: Singles, texel_m: float) -> int:
-    return max(0, int(np.log2(float(extent.min()) / texel_m)) - 3)
 
 
 @value_class

@@ -15,7 +15,7 @@ from ...trust.changes import estimates_are_judged, parameter_changes
 from ...trust.clusters import robust_variances
 from ...trust.parts import Split, part_agreement, part_differences
 from ..parameters import CameraParameters, ImuParameters, RigParameters
-from .uncertainty import TimeClusters, Uncertainty, with_uncertain
+from .uncertainty import TimeClusters, Uncertainty, with_uncertain_gravity
 
 _IMU_SCALARS = 33
 _BIASES = 6
@@ -56,7 +56,7 @@ def publish_rig(found: Uncertainty, parameters: RigParameters, gravity_sigma: fl
     gravity_sigma : standard deviation of the magnitude of gravity, which was held [m/s^2]
     """
     column = {name: i for i, name in enumerate(found.names)}
-    both = [with_uncertain(found, "gravity.magnitude", gravity_sigma, ordinary=ordinary) for ordinary in (False, True)]
+    both = [with_uncertain_gravity(found, gravity_sigma, ordinary=ordinary) for ordinary in (False, True)]
     width = len(both[0])
     rows: list[Floats] = []
     imus: dict[str, ImuCalibration] = {}

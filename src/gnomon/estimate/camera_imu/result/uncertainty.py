@@ -301,10 +301,13 @@ def _asked_focal(held: FixedParameterEffect, entry: CameraParameters) -> float:
     return max((size for size, sigmas in wanted if sigmas > _ASKED), default=0.0)
 
 
-def with_uncertain(found: Uncertainty, block: str, sigma: float, *, ordinary: bool = False) -> Floats:
-    """Return the covariance, or that for independent errors, with the uncertainty of a held scalar added."""
+_GRAVITY = "gravity.magnitude"
+
+
+def with_uncertain_gravity(found: Uncertainty, gravity_sigma: float, *, ordinary: bool = False) -> Floats:
+    """Return the covariance, or that for independent errors, with the uncertainty of held gravity added."""
     covariance = found.ordinary if ordinary else found.covariance
-    if block not in found.held or not np.isfinite(sigma):
+    if _GRAVITY not in found.held or not np.isfinite(gravity_sigma):
         return covariance
-    influence = found.held[block].by_unit[0]
-    return covariance + np.outer(influence, influence) * sigma**2
+    influence = found.held[_GRAVITY].by_unit[0]
+    return covariance + np.outer(influence, influence) * gravity_sigma**2

@@ -332,13 +332,7 @@ def _located(
 
 
 def _refuse_jump(t_s: Floats, name: str) -> None:
-    """Refuse timestamps that are mostly gaps, as a clock that jumps leaves them: grids over them would know no bound.
-
-    Raises
-    ------
-    InitialisationError
-        If they are.
-    """
+    """Refuse timestamps that are mostly gaps, as a clock that jumps leaves them: grids over them had no bound."""
     steps = np.diff(t_s)
     filled = float(np.minimum(steps, _FILLED_S).sum())
     if _mostly_gaps(t_s):
@@ -359,11 +353,6 @@ def _aligned(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, name
     """Return the alignment at the time shift of best agreement.
 
     A few poses that are far off make a search by least squares fail; then long rotations are made short in another one.
-
-    Raises
-    ------
-    InitialisationError
-        If the streams hardly overlap.
     """
     tried: list[Alignment] = []
     for limited in (False, True):

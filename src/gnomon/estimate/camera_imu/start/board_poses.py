@@ -157,7 +157,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
         gram, gradient = sums.gram[:, :TWIST, :TWIST], sums.gram[:, :TWIST, TWIST]
         damped = gram + 1e-9 * np.einsum("nii->ni", gram)[:, :, None] * np.eye(TWIST) + 1e-12 * np.eye(TWIST)
         twist = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        turn = rotation_from_rotvec(_limited(twist[:, :3], 0.3))
+        turn = rotation_from_rotvec(_limited(twist[:, :3]))
         rotation = turn @ rotation
         p = np.einsum("nij,nj->ni", turn, p) + twist[:, 3:]
         if step >= 1:  # from here on wrong corners count less
@@ -165,7 +165,10 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
         if step >= 1 and np.quantile(np.abs(twist), 0.99) < _AT_REST:
             break
     sums = corner_sums(exposures, frames.camera, rotation, p, noise)
-    sigma_px = max(_scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / _freedom(sums.valid)), SMALLEST_PX)
+    sigma_px = max(
+        _scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / float(np.maximum(2 * sums.valid - TWIST, 1).sum())),
+        SMALLEST_PX,
+    )
     scatter = frame_scatter(exposures, sums, sums.valid > 0)[exposures.frame]
     return BoardPoses(
         exposures=replace(every, spread=_spread(frames, every, sigma_px)),
@@ -198,19 +201,15 @@ def _rotation_covariance(information: Floats) -> Floats:
     return (np.linalg.inv(scaled) * size[:, :, None] * size[:, None, :])[:, :3, :3]
 
 
-def _freedom(valid: Integers) -> float:
-    return float(np.maximum(2 * valid - TWIST, 1).sum())
-
-
 def _scatter(residual: Floats) -> float:
     """Return the standard deviation per axis by the median distance, sqrt(2 ln 2) sigma for a normal distribution."""
     distance = np.sqrt(np.einsum("ij,ij->i", residual, residual))
     return float(np.nanmedian(distance)) / np.sqrt(2 * np.log(2))
 
 
-def _limited(vectors: Floats, longest: float) -> Floats:
+def _limited(vectors: Floats) -> Floats:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))
+    return vectors * np.minimum(1.0, 0.3 / np.maximum(length, 1e-300))
 
 
 def homography_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Floats]:
