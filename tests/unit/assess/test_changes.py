@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import fdtrc
 
 import gnomon
 from gnomon.assess.changes import change_findings, with_changes
 from gnomon.estimate.trust import changes
-from gnomon.estimate.trust.changes import parameter_changes
+from gnomon.estimate.trust.changes import f_tail, parameter_changes
 from gnomon.estimate.trust.clusters import ClusterSums
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text
@@ -316,3 +317,12 @@ def lens_result():
 
     simulated = simulate_cameras(CamerasScenario(views=12), 1)
     return gnomon.calibrate_cameras(simulated.recording, simulated.target)
+
+
+@pytest.mark.parametrize("first", [1, 2, 9])
+@pytest.mark.parametrize("second", [1.0, 7.3, 4000.0])
+def test_tails_of_f_are_those_of_scipy(first, second):
+    for x in (1e-3, 0.3, 1.0, 4.0, 60.0):
+        assert f_tail(x, first, second) == pytest.approx(float(fdtrc(first, second, x)), rel=1e-10)
+    assert f_tail(0.0, first, second) == 1.0
+    assert f_tail(np.inf, first, second) == 0.0

@@ -32,7 +32,7 @@ from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...estimate.camera_imu.trajectory import BIAS
 from ...estimate.multiposition.bias_changes import DECAYS
 from ...estimate.multiposition.bias_segments import BENDS_K, WEAK_LAG_S
-from ...estimate.trust.changes import start_of_estimates
+from ...estimate.trust.changes import chi_square_tail, start_of_estimates
 from ...findings import Finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
@@ -332,8 +332,6 @@ def biases_over_temperature(
     """
     if (course := _course(recording)) is None:
         return None
-    from scipy.special import chdtrc  # on demand  # pyright: ignore[reportMissingTypeStubs]
-
     grid = solution.state.trajectory.grid
     t_ns = origin_ns + np.round(1e9 * control_times(grid)).astype(np.int64)
     degc = course.with_rate(t_ns)
@@ -355,7 +353,7 @@ def biases_over_temperature(
         widened = 1.0 if before is None else _widened(solution, certain, scalars)
         told = [(found.ravel()[at] + taken, covariance[np.ix_(at, at)] * widened) for found, covariance in each]
         values, own = min(told, key=lambda one: one[0][:3] @ np.linalg.solve(one[1][:3, :3], one[0][:3]))
-        if chdtrc(3, float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3]))) < _LIKELY:
+        if chi_square_tail(float(values[:3] @ np.linalg.solve(own[:3, :3], values[:3])), 3) < _LIKELY:
             known = replace(known, **{f"{triad}_bias": values.reshape(-1, 3)})
             blocks[f"{triad}_bias"] = own
     return BiasesOverTemperature(known=known, blocks=blocks)

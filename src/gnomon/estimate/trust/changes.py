@@ -58,6 +58,7 @@ _CERTAIN = 2.0  # standard deviations of a variance
 _POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions counts as
 _INFLATED = 100.0  # variances that a change may have inflated, at most
 _SAME = 1e-8  # of the largest: rounding
+_MOST_TERMS, _ROUNDING = 10_000, 1e-15  # of a continued fraction
 _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
 
 
@@ -586,9 +587,7 @@ def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: 
     of_many = chi_square_tail(t2, rank)
     if of_many > least > 0:
         return of_many
-    from scipy.special import fdtrc  # loaded where something may have changed  # pyright: ignore[reportMissingTypeStubs]
-
-    return float(fdtrc(rank, max(freedom, 1.0), t2 / rank))
+    return f_tail(t2 / rank, rank, max(freedom, 1.0))
 
 
 def chi_square_tail(x: float, freedom: int) -> float:
@@ -598,6 +597,27 @@ def chi_square_tail(x: float, freedom: int) -> float:
     for k in range(1 if odd else 2, freedom - 1, 2):
         tail += math.exp(k / 2 * math.log(half) - half - math.lgamma(k / 2 + 1)) if half > 0 else 0.0
     return tail
+
+
+def f_tail(x: float, first: float, second: float) -> float:
+    """Return how often F of so many degrees of freedom exceeds x (DLMF 8.17.22): loading scipy.special takes longer."""
+    whole = second + first * x
+    if not x > 0 or not whole < math.inf:
+        return float(not x > 0)
+    a, b, y = second / 2, first / 2, second / whole
+    if y > (a + 1) / (a + b + 2):
+        return 1 - f_tail(1 / x, second, first)
+    tail = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(y) + b * math.log(first * x / whole)
+    fraction, above, below = 1.0, 1.0, 0.0
+    for k in range(1, _MOST_TERMS):  # from the first term on (Lentz), which is the same where none of them is zero
+        m = k // 2
+        term = -(a + m) * (a + b + m) * y if k % 2 else m * (b - m) * y
+        term /= (a + k - 1) * (a + k)
+        below, above = 1 / (1 + term * below), 1 + term / above
+        fraction *= above * below
+        if abs(above * below - 1) < _ROUNDING:
+            break
+    return math.exp(tail) / (a * fraction)
 
 
 def _moves(found: _Estimate, cluster: Integers) -> Floats:
