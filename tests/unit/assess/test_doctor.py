@@ -252,6 +252,14 @@ def test_a_gyroscope_that_is_set_to_zero_in_every_rest_is_named() -> None:
     assert "0 rad/s stands in 20 places" in found["dead-band"].message
 
 
+def test_readings_that_were_normalised_are_a_problem() -> None:
+    samples = imu()
+    force = samples.accelerometer.values
+    made = 9.80665 * force / np.linalg.norm(force, axis=1, keepdims=True)
+    found = findings(replace(samples, accelerometer=replace(samples.accelerometer, values=np.round(made, 5))))
+    assert found["magnitude-constant"].severity == "problem"
+
+
 @pytest.mark.parametrize("period", [2, 3, 4])
 def test_sensors_that_were_written_by_turns_are_a_problem(period: int) -> None:
     samples = imu()

@@ -250,6 +250,7 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
 _STUCK_S = 0.25
 _STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
 """One axis alone: how long, the others' share of their range meanwhile, and from which share it is a problem."""
+_NORMALISED = 0.1
 _ZEROED = 3  # rests in which the same reading stands: no link hangs like that
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
@@ -288,6 +289,9 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
         axes = " and ".join("xyz"[axis] for axis in which)
         findings.append(make_finding("axis-constant", label=label, axes=axes, case="" if still.any() else "copied"))
     findings += check_turns(samples, label)
+    if ACCELEROMETER_UNITS_M_S2.get(samples.unit):
+        values = samples.values[:_NOISE_SAMPLES]
+        findings += check_magnitude(values, float(_noise(values).min()), label)
     findings += _isolated(samples, label)
     findings += _saturation(samples, label)
     stuck = _stuck(samples, label, beside) or _stuck_axis(samples, label)
@@ -314,6 +318,14 @@ def check_turns(samples: TriadSamples, label: str) -> list[Finding]:
             size_of_worst = float(size[np.argmax(size - _TURNS * spread)])
             return [make_finding("samples-by-turns", label=label, period=period, size=size_of_worst, unit=samples.unit)]
     return []
+
+
+def check_magnitude(values: Floats, sigma: float, label: str) -> list[Finding]:
+    """Return a finding where an accelerometer's magnitudes scatter far less than its noise: it was normalised."""
+    sizes = np.linalg.norm(values, axis=1)
+    if not sizes.std() < _NORMALISED * sigma:
+        return []
+    return [make_finding("magnitude-constant", label=label, size=sizes.mean())]
 
 
 def dead_band_finding(values: Floats, places: Integers, label: str, unit: str) -> list[Finding]:

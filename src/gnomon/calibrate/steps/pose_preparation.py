@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.checks.signals import check_signal
+from ...assess.checks.signals import check_magnitude, check_signal
 from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import repair_samples
 from ...detect.samples.rests import (
@@ -125,11 +125,13 @@ def _without_gaps(samples: TriadSamples) -> TriadSamples:
 def _from_table(poses: Poses) -> PreparedPoses:
     nothing = np.zeros_like(poses.accelerometer)
     when = np.full(len(poses), np.nan) if poses.t_s is None else poses.t_s
+    variance = nothing if poses.accelerometer_sigma is None else poses.accelerometer_sigma**2
+    raise_first_problem(check_magnitude(poses.accelerometer, float(np.sqrt(variance.min())), "accelerometer"))
     return PreparedPoses(
         poses=poses,
         start_s=when,
         stop_s=when,
-        variance=nothing if poses.accelerometer_sigma is None else poses.accelerometer_sigma**2,
+        variance=variance,
         gyroscope_variance=nothing if poses.gyroscope_sigma is None else poses.gyroscope_sigma**2,
     )
 

@@ -254,7 +254,7 @@ def _posteriors(
     spread = np.trace(across - w[:, None, None] * gain @ across, axis1=1, axis2=2)
     variance, vectors = np.linalg.eigh(total)
     q = np.swapaxes(vectors, 1, 2)
-    return u, spread, q, np.einsum("kij,kj->ki", q, error), np.sqrt(variance)
+    return u, spread, q, np.einsum("kij,kj->ki", q, error), np.sqrt(np.maximum(variance, _TINY))
 
 
 def _logarithm(u: Floats, target: Floats) -> Floats:
