@@ -288,8 +288,9 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
         which = np.flatnonzero(still) if still.any() else sorted({axis % 3 for k in copied for axis in (k, k - 1)})
         axes = " and ".join("xyz"[axis] for axis in which)
         findings.append(make_finding("axis-constant", label=label, axes=axes, case="" if still.any() else "copied"))
-    findings += check_turns(samples, label)
-    if ACCELEROMETER_UNITS_M_S2.get(samples.unit):
+    turns = check_turns(samples, label)
+    findings += turns
+    if not turns and ACCELEROMETER_UNITS_M_S2.get(samples.unit):
         values = samples.values[:_NOISE_SAMPLES]
         findings += check_magnitude(values, float(_noise(values).min()), label)
     findings += _isolated(samples, label)
