@@ -170,7 +170,7 @@ def same_stamps(table):
 
 BAD = {
     "shaken": (shaken, "accelerometer was "),
-    "tilted": (tilted, "accelerometer was moved at 999 s"),
+    "tilted": (tilted, "accelerometer was moved, or its bias stepped, at 999 s"),
     "turned": (turned_slowly, "gyroscope was moved"),
     "too short": (too_short, "are too few. At least 60 s"),
     "backward": (backward, "timestamps go backwards at sample 4000"),

@@ -104,7 +104,7 @@ class Trials:
         asked, answers, self.outcome = self._process.stdin, self._process.stdout, None
         assert asked is not None
         assert answers is not None
-        with suppress(OSError, EOFError, pickle.UnpicklingError):
+        with suppress(OSError, EOFError, ValueError, pickle.UnpicklingError):  # a ValueError: closed meanwhile
             asked.write(message)
             asked.flush()
             self.outcome = TrialOutcome(**pickle.load(answers))

@@ -56,7 +56,7 @@ def dead_bands(values: Floats) -> tuple[Floats, Integers]:
     """
     found, places = np.full(3, np.nan), np.zeros(3, np.int64)
     for axis, column in enumerate(np.ascontiguousarray(values.T)):
-        new = np.concatenate([[True], column[1:] != column[:-1]])
+        new = np.concatenate([[True], column[1:] != column[:-1]])[: len(column)]
         repeated = column[~new]
         if not len(repeated):
             continue
