@@ -254,6 +254,7 @@ _NORMALISED = 0.1
 _ZEROED = 3  # rests in which the same reading stands: no link hangs like that
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
+_TURN_SAMPLES = 3000  # tell whether sensors take turns, as they do all the time
 _MUCH_REPEATED = 0.02  # of all samples
 _MAD, _TURNS, _FEWEST_TURNS = 1.4826, 2.0, 50  # standard deviations between the means by turns; turns
 _LISTED, _MANY_ISOLATED = 6, 1e-3  # isolated readings; the share from which on others may hide among them
@@ -305,15 +306,16 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
 
 def check_turns(samples: TriadSamples, label: str) -> list[Finding]:
     """Return a finding where every second, third or fourth sample is off from the others all the time."""
-    values = samples.values[:_NOISE_SAMPLES]
+    values = samples.values[:_TURN_SAMPLES]
     for period in range(2, 5):
         count = len(values) // period - 1
         if count < _FEWEST_TURNS:
             break
         n = period * count
         off = values[:n] - sum(values[k : k + n] for k in range(period)) / period
-        usual = np.median(off.reshape(count, period, 3), axis=0)
-        spread = _MAD * np.median(np.abs(off.reshape(count, period, 3) - usual), axis=0).max(axis=0)
+        each = np.ascontiguousarray(off.reshape(count, period, 3).transpose(1, 2, 0))
+        usual = np.median(each, axis=2)
+        spread = _MAD * np.median(np.abs(each - usual[:, :, None]), axis=2).max(axis=0)
         size = np.ptp(usual, axis=0)
         if (size > _TURNS * spread).any():
             size_of_worst = float(size[np.argmax(size - _TURNS * spread)])
