@@ -59,7 +59,7 @@ def _selected(name: str, stream: ImageStream, selection: FrameSelection, first_n
 
 
 def _taken(selection: FrameSelection, first_ns: int) -> Callable[[int], bool]:
-    """Return what tells of one timestamp after the other [ns] whether its frame is taken.
+    """Return what tells of one timestamp after the other [ns] whether its frame is taken; it is asked in their order.
 
     Of cameras that are triggered together the same frames are, also where one has lost some: time since the first frame
     counts, not their number.
