@@ -7,7 +7,8 @@ PYTHON ?= $(shell for p in $(CANDIDATES); do if $$p -c '$(SUITABLE)' >/dev/null 
 
 BIN = .venv/bin
 LOWEST = .venv-lowest
-INSTALL = -m pip install --quiet --disable-pip-version-check
+# What is imported is compiled then; all that is installed would take longer than the installation.
+INSTALL = -m pip install --quiet --disable-pip-version-check --no-compile
 
 # The libraries below NumPy need no threads of their own here: the problems are small.
 export OPENBLAS_NUM_THREADS = 1

@@ -36,10 +36,22 @@ from gnomon.results.sensor_diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure, pytest_runtest_setup
+from tiers import (
+    pytest_addoption,
+    pytest_collect_directory,
+    pytest_collection_modifyitems,
+    pytest_configure,
+    pytest_runtest_setup,
+)
 from trust_example import example_trust
 
-__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure", "pytest_runtest_setup"]
+__all__ = [
+    "pytest_addoption",
+    "pytest_collect_directory",
+    "pytest_collection_modifyitems",
+    "pytest_configure",
+    "pytest_runtest_setup",
+]
 
 # The same examples on every run, and no limits by the clock, which a busy machine exceeds: what fails here fails for
 # everyone.

@@ -3,13 +3,14 @@
 `pytest --quick` leaves out what durations.json says is costly, and keeps what is marked `main`: one job of each kind,
 from a recording to the report; `pytest --costly` runs the others. `pytest --record-durations` (`make durations`) writes
 that file: CPU seconds of each test over 0.1 s, and of the fixtures of each file over 0.5 s. CPU times on one machine
-tell costly from cheap well enough on all; no test fails by the clock.
+tell costly from cheap well enough on all; no test fails by the clock. Files that cost most run first, so that all
+processes have work to the end.
 """
 
 import json
 import os
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,32 @@ def _known() -> dict[str, dict[str, float]]:
     return json.loads(DURATIONS.read_text(encoding="utf-8")) if DURATIONS.exists() else {"calls": {}, "fixtures": {}}
 
 
+class _FromTheEnd(pytest.Dir):
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        return reversed(list(super().collect()))
+
+
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    """Let every other process read the files from the end, so that each prepares the assertions of some for all."""
+    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    backwards = int(number) % 2 == 1 and not (path / "__init__.py").exists()
+    return _FromTheEnd.from_parent(parent, path=path) if backwards else None
+
+
+@cache
+def _file_s() -> Counter[str]:
+    """Return how long each test file takes."""
+    seconds = Counter[str](_known()["fixtures"])
+    for name, s in _known()["calls"].items():
+        seconds[name.split("::")[0]] += s
+    return seconds
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out costly tests, or cheap ones, where that is asked for; and further cases where the first ones do."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=lambda item: (-_file_s()[file := item.nodeid.split("::")[0]], file))
     cases = Counter[str]()
     for item in items:
         if few := item.get_closest_marker("first"):

@@ -15,6 +15,7 @@ from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.simulate.images.board_outlines import pixel_coverage
 from gnomon.simulate.images.clutter import cluttered_wall
+from gnomon.simulate.images.motion_segments import MotionSegment
 from gnomon.simulate.images.rendering import Optics, render_board, render_moving
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
@@ -130,6 +131,16 @@ def test_a_moving_board_is_the_mean_over_the_exposure():
 def passing(R, p, velocity):
     """The pose of a board that moves evenly, its attitude kept."""
     return lambda t_s: (np.repeat(R[None], len(t_s), axis=0), p + t_s[:, None] * np.array(velocity))
+
+
+def test_what_passes_far_outside_of_the_image_asks_for_no_more_instants():
+    """There a lens throws points anywhere; a view of a near board took 48 instants, and a hundred times as long."""
+    pose = passing(askew(0.3, 0.4, 0.1), np.array([-0.2, 0.2, 0.35]), [0.05, 0.0, 0.0])
+    x, y = (value.ravel() for value in np.meshgrid(np.linspace(-0.05, 0.7, 5), np.linspace(-0.05, 0.7, 5)))
+    points = np.stack([x, y, 0 * x], axis=1)
+    near = np.hypot(x - 0.2, y - 0.2) < 0.15
+    few, all_of_it = (MotionSegment.during(0.004, CAMERA, pose, part, 1.0) for part in (points[near], points))
+    assert 1 <= few.instants <= all_of_it.instants < few.instants + 3
 
 
 def test_rows_are_exposed_one_after_the_other():

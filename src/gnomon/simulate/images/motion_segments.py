@@ -19,6 +19,7 @@ Pose = Callable[[Floats], tuple[Floats, Floats]]
 _NODES = (3, 5, 7, 9)
 _EXACT_PX = 0.002
 _MOST_INSTANTS = 48
+_NEAR = 1.5  # half widths and heights of the image from its middle
 _BEYOND_ROWS = 20.0  # points above and below the image may be coarse
 _ROW_SEARCHES = 3
 _STEADIEST = 0.2  # of 1: rows that expose as fast as a point moves down would see it for ever
@@ -103,7 +104,7 @@ class MotionSegment:
         height = camera.resolution[1]
         rows_s = camera.line_delay_s * np.array([-_BEYOND_ROWS, height - 1 + _BEYOND_ROWS])
         low, high = float(rows_s.min()) - exposure_s / 2, float(rows_s.max()) + exposure_s / 2
-        moved = _longest(_projected(camera, pose, points, exposure_s * np.array([-0.5, 0.0, 0.5])))
+        moved = _longest(_projected(camera, pose, points, exposure_s * np.array([-0.5, 0.0, 0.5])), camera)
         count = int(np.clip(np.ceil(moved / step_px), 1, _MOST_INSTANTS))
         at_s = exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
         nodes_s = np.array([low])
@@ -172,10 +173,13 @@ def _projected(camera: Camera, pose: Pose, points: Floats, t_s: Floats) -> Float
     return found
 
 
-def _longest(pixels: Floats) -> float:
-    """Return the longest path of points (k, n, 2) [px]."""
+def _longest(pixels: Floats, camera: Camera) -> float:
+    """Return the longest path of points (k, n, 2) [px] that come near the image; a lens may throw others anywhere."""
     path = np.linalg.norm(np.diff(pixels, axis=0), axis=2).sum(axis=0)
-    return float(np.max(path[np.isfinite(path)], initial=0.0))
+    middle = (np.array(camera.resolution) - 1) / 2
+    known = np.isfinite(path)
+    near = known & (np.abs(pixels - middle) < _NEAR * middle).all(axis=2).any(axis=0)
+    return float(np.max(path[near if near.any() else known], initial=0.0))
 
 
 def _weights(nodes: Floats, at: Floats) -> Floats:
