@@ -28,6 +28,7 @@ from ..estimate.temperature.bias_drift import (
 from ..findings import Finding
 from ..frozen import value_class
 from ..options import ImuOptions
+from ..processes import one_blas_thread
 from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
@@ -121,7 +122,8 @@ def calibrate_temperature(
     if resting:
         tell("averaging the samples at rest")
         bins = [average_at_rest(names[i], samples[i]) for i in resting]
-        fit = _fit(RestRecordings(samples=[samples[i] for i in resting], bins=bins), reference, tell)
+        with one_blas_thread():
+            fit = _fit(RestRecordings(samples=[samples[i] for i in resting], bins=bins), reference, tell)
         base = _with_temperature(base, fit, nominal=nominal and turned is None, span=_known_span(fit, turned))
     tell("assessing the result")
     result = _result(base, fit, turned, names, step)
