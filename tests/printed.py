@@ -1,6 +1,7 @@
 """Printed boards taken apart again: the paths of an SVG or a PDF, an image of them, and a photograph of that."""
 
 import re
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -75,8 +76,7 @@ def photographed(sheet, px_per_mm, camera, R_cam_sheet, p_cam_sheet, finer=4):
     import cv2
 
     width, height = camera.resolution
-    u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    at = 1000 * px_per_mm * on_sheet(np.column_stack([u.ravel(), v.ravel()]), camera, R_cam_sheet, p_cam_sheet)
+    at = 1000 * px_per_mm * _met(_rays(camera), R_cam_sheet, p_cam_sheet)
     column, row = (at * [1, -1] + [0, sheet.shape[0]] - 0.5).T.reshape(2, height, width)
     changes = [np.gradient(where) for where in (column, row)]
     steps = (np.arange(finer) + 0.5) / finer - 0.5
@@ -103,7 +103,19 @@ def pose_before(size_mm, camera, share, rotvec):
 
 def on_sheet(pixels, camera, R, p):
     """Where on the sheet pixels are [m]."""
-    x, y, w = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], p])) @ camera.unproject(pixels)[0].T
+    return _met(camera.unproject(pixels)[0], R, p)
+
+
+@cache
+def _rays(camera):
+    """Rays of all pixels, row after row."""
+    width, height = camera.resolution
+    u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    return camera.unproject(np.column_stack([u.ravel(), v.ravel()]))[0]
+
+
+def _met(rays, R, p):
+    x, y, w = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], p])) @ rays.T
     return np.column_stack([x / w, y / w])
 
 

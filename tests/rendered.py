@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,7 @@ class RenderedView(NamedTuple):
     """(n, 2) where all points of the board are, also those outside the image or covered; nan where the lens has none"""
 
 
+@cache
 def euroc_camera() -> Camera:
     return Camera(
         projection="pinhole",

@@ -70,6 +70,7 @@ def test_by_evidence_it_comes_out_as_where_it_was_asked_for():
     assert abs(value - other) < 0.1 * sigma
 
 
+@pytest.mark.first(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_where_there_is_none_the_model_has_none(seed):
     _, result = case(0.0, seed)

@@ -91,6 +91,7 @@ def assert_same(samples, plain, seeds):
     assert worst[1] < TOLERANCE["rate"]
 
 
+@pytest.mark.first(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_same_calibrated_data(samples, plain, seed):
     assert_same(samples, plain, [seed])

@@ -82,12 +82,14 @@ def test_faults_of_a_rig_are_named_by_its_calibration(name):
     assert found.first, table([found])
 
 
+@pytest.mark.first(4)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_healthy_recording_of_an_imu_passes(seed):
     found = healthy(("imu", seed))
     assert found.verdict == "pass", [str(finding) for finding in found.loud]
 
 
+@pytest.mark.first(2)
 @pytest.mark.parametrize("seed", range(4))
 def test_the_doctor_leaves_a_healthy_rig_alone(seed):
     assert not loud(doctors_findings(sound_recording(healthy_rig(seed), seed)))

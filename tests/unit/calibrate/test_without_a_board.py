@@ -83,7 +83,7 @@ def test_a_rolling_shutter_that_nobody_stated_is_found_by_the_landmarks():
 
 def test_a_rig_at_rest_is_refused():
     with pytest.raises(DetectionError, match="hardly anything moves"):
-        mapped(replace(SMALL, motion="static", duration_s=2.0))
+        mapped(replace(SMALL, motion="static", duration_s=1.0))
 
 
 def test_painted_walls_are_refused():
@@ -93,18 +93,18 @@ def test_painted_walls_are_refused():
 
 def test_a_rig_that_never_turned_is_refused():
     with pytest.raises(InitialisationError, match="do not show the same rotation"):
-        mapped(replace(SMALL, motion="translation", duration_s=4.0))
+        mapped(replace(SMALL, motion="translation", duration_s=2.0))
 
 
 def test_a_rig_that_hardly_moved_is_refused():
     with pytest.raises(InitialisationError, match="hardly moved from its place"):
-        mapped(replace(SMALL, motion="slow", duration_s=4.0))
+        mapped(replace(SMALL, motion="slow", duration_s=2.0))
 
 
 def test_too_few_landmarks_are_refused(monkeypatch):
     monkeypatch.setattr(landmark_map, "_chosen_sightings", lambda _: np.arange(3))
     with pytest.raises(DetectionError, match="only 3 landmarks"):
-        mapped(replace(SMALL, duration_s=3.0))
+        mapped(replace(SMALL, duration_s=1.5))
 
 
 @pytest.mark.long

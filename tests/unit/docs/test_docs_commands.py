@@ -74,7 +74,7 @@ def test_the_tutorial_can_be_followed(less, tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
+def test_the_readme_does_what_it_shows(single_sensors, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("log.csv", 1), ("flight.csv", 2)):
         run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
@@ -83,7 +83,7 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     run(["simulate", "cameras", "-o", "photographs", "--images", *VIEWS])
     for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
         shutil.copy(f"rig/{name}", name)
-    make_single_sensors()
+    shutil.copytree(single_sensors, ".", dirs_exist_ok=True)
     page = ROOT / "README.md"
     commands = list(shell_commands(page))
     alone, camera = ["check", "imu", "show", "apply", "convert"], ["target", "camera"]
@@ -100,21 +100,25 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
         assert (tmp_path / report).exists()
 
 
-def make_single_sensors():
-    """Make small recordings of single sensors in the working folder, by the names that the documentation uses."""
-    run(["simulate", "poses", "-o", "poses.csv", "--sensor", "drawn", "--units", "g deg/s"])
-    run(["simulate", "turntable", "-o", "disc", *DISC, "--rpm", "33.33"])
-    run(["simulate", "platter-video", "-o", "platter.mkv", *PLATTER])
-    run(["simulate", "noise", "-o", "rest.npz", "--duration-s", "2400"])
-    run(["simulate", "magnetometer", "-o", "turned.npz", "--rests", "12"])
+@pytest.fixture(scope="module")
+def single_sensors(tmp_path_factory):
+    """Make small recordings of single sensors by the names that the documentation uses; return their folder."""
+    folder = tmp_path_factory.mktemp("single")
+    with contextlib.chdir(folder):
+        run(["simulate", "poses", "-o", "poses.csv", "--sensor", "drawn", "--units", "g deg/s"])
+        run(["simulate", "turntable", "-o", "disc", *DISC, "--rpm", "33.33"])
+        run(["simulate", "platter-video", "-o", "platter.mkv", *PLATTER])
+        run(["simulate", "noise", "-o", "rest.npz", "--duration-s", "2400"])
+        run(["simulate", "magnetometer", "-o", "turned.npz", "--rests", "12"])
+    return folder
 
 
 @pytest.mark.long
-def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
+def test_every_way_to_calibrate_one_sensor_works(single_sensors, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     section = how_to("sensors")
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
-    make_single_sensors()
+    shutil.copytree(single_sensors, ".", dirs_exist_ok=True)
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
     run(["simulate", "poses", "-o", "poses", "--sensor", "drawn", "--units", "si"])
     run(["simulate", "poses", "-o", "faces", "--attitudes", "six", "--sensor", "drawn", "--units", "si"])

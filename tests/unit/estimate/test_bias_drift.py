@@ -37,10 +37,10 @@ def errors_in_sigmas(result, truth, at_degc):
     return np.array(z)
 
 
-@pytest.mark.first(2)
+@pytest.mark.first(1)
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("order", "lag_s", "step_k", "seed"), [(1, 0.0, 0.1, 1), (2, 20.0, 0.1, 2), (3, 0.0, 0.5, 3), (2, 40.0, 0.01, 4)]
+    ("order", "lag_s", "step_k", "seed"), [(2, 20.0, 0.1, 2), (1, 0.0, 0.1, 1), (3, 0.0, 0.5, 3), (2, 40.0, 0.01, 4)]
 )
 def test_order_lag_and_polynomials_are_found_within_their_sigmas(order, lag_s, step_k, seed):
     scenario = TemperatureScenario(recordings=3, order=order, lag_s=lag_s, step_k=step_k, rate_hz=20.0)

@@ -53,6 +53,7 @@ def test_a_path_is_the_same_however_many_instants_are_asked_for():
     np.testing.assert_allclose(path.at(t_s[7000:7001]).acceleration, motion.acceleration[7000:7001], atol=1e-12)
 
 
+@pytest.mark.first(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_motions_are_as_lively_as_stated(seed):
     found = {

@@ -247,7 +247,7 @@ def detect(image, target):
 
 
 @each_board
-@pytest.mark.parametrize("rotvec", [(0.05, 0.1, 0.1), (0.35, -0.3, 0.2)])
+@pytest.mark.parametrize("rotvec", [(0.35, -0.3, 0.2), pytest.param((0.05, 0.1, 0.1), marks=pytest.mark.slow)])
 def test_what_is_printed_and_photographed_the_detectors_read(target, rotvec):
     camera = euroc_camera()
     svg, _ = both(target)
