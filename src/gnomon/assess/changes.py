@@ -42,6 +42,7 @@ class _Scale:
 
 
 _FASTEN = "Check that sensors, board and housing are screwed on and that nothing was touched"
+_EXCHANGED = f"Check that its data are of one sensor throughout, not of another one from then on. {_FASTEN}"
 _WARM = "Let the sensor warm up, and keep it at one temperature"
 _GENERAL = {**GENERAL_IMU.needs, **GENERAL_RIG.needs}
 _OTHERS = {
@@ -129,6 +130,12 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
     changes : of quantities, those of one block behind each other
     use : what the result is for; None for no special use
     """
+    jumped = {change.sensor for change in changes if _is_jump(change)}
+    moved = {
+        change.sensor
+        for change in changes
+        if not change.block.endswith(_CLOCKS) and 0 < needed_of(change, use) < change.size
+    }
     for place in dict.fromkeys((change.block, change.where) for change in changes):
         own = [change for change in changes if (change.block, change.where) == place]
         needed = [needed_of(change, use) for change in own]
@@ -139,7 +146,7 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         severity = "problem" if "problem" in grades else "warning" if "warning" in grades else "info"
         told = "; ".join(_told(change, need, use) for change, need in zip(own, needed, strict=True))
         beyond = severity != "info"
-        if beyond and _is_jump(own[0]):
+        if beyond and _is_jump(own[0]) and own[0].sensor not in moved:
             yield make_finding(
                 "clock-jump/parts",
                 severity=severity,
@@ -156,7 +163,7 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
             case="beyond" if beyond else "",
             told=told,
             where=own[0].where,
-            cure=_SCALES[worst.quantity].cure,
+            cure=_EXCHANGED if own[0].sensor in jumped & moved else _SCALES[worst.quantity].cure,
         )
 
 

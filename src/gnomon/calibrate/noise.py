@@ -300,14 +300,25 @@ def _fitted_triad(fit: AllanFit, curve: AllanVariance, high_pass: HighPass | Non
     def fitted(axis: int, *, filtered: bool) -> AxisFit:
         longest_s = longest_unfiltered_s(high_pass, axis) if filtered else np.inf
         unfiltered = int(np.count_nonzero(curve.tau_s <= longest_s)) if longest_s < np.inf else None
-        return fit.fit(curve.straight[:, axis], slopes[axis], optional, unfiltered, triad)
+        sure = high_pass is None or high_pass.sure
+        return fit.fit(curve.straight[:, axis], slopes[axis], optional, unfiltered, triad, sure=sure)
 
     found = [fitted(axis, filtered=True) for axis in range(3)]
-    if high_pass is not None and not high_pass.sure:  # bounds that hold with the filter and without it
-        short, found = found, [fitted(axis, filtered=False) for axis in range(3)]
-        bounds = [np.where(w.theta > 0, np.nan, np.fmax(w.bound, s.bound)) for w, s in zip(found, short, strict=True)]
-        found = [replace(one, bound=bound) for one, bound in zip(found, bounds, strict=True)]
+    if high_pass is not None and not high_pass.sure:
+        found = [_either(fitted(axis, filtered=False), one) for axis, one in enumerate(found)]
     return tuple(found)
+
+
+def _either(without: AxisFit, behind: AxisFit) -> AxisFit:
+    """Return the fit without a filter with bounds and sigmas that hold with it, too, where it perhaps is there."""
+    found, also = without.theta > 0, behind.theta > 0
+    change = np.where(also, np.abs(without.theta - behind.theta), without.theta)  # what only the longest times show
+    bound = np.where(also, behind.theta + 2 * behind.sigma, behind.bound)
+    return replace(
+        without,
+        bound=np.where(found, np.nan, np.fmax(without.bound, bound)),
+        sigma=np.where(found, np.hypot(np.fmax(without.sigma, behind.sigma), change), np.nan),
+    )
 
 
 def _triad_noise(curve: AllanVariance, fits: tuple[AxisFit, ...], steady: Stationarity) -> TriadNoise:
@@ -330,7 +341,9 @@ def _axis_noise(fit: AxisFit, curve: AllanVariance) -> AxisNoise:
         scale = rate_hz ** _POWERS[kind]
         if fit.theta[i] > 0:
             value = sqrt(fit.theta[i])
-            found[kind] = Coefficient(value=scale * value, sigma=scale * float(fit.sigma[i]) / (2 * value))
+            below = value - sqrt(max(fit.theta[i] - 2 * fit.sigma[i], 0.0))  # a root errs by more below than above
+            sigma = max(float(fit.sigma[i]) / value, below) / 2
+            found[kind] = Coefficient(value=scale * value, sigma=scale * sigma)
         else:
             found[kind] = Coefficient(value=0.0, bound=scale * sqrt(fit.bound[i]))
     slope, sigma = abs(fit.slope) * rate_hz, fit.slope_sigma * rate_hz

@@ -242,6 +242,12 @@ def test_a_time_shift_that_changes_at_once_is_a_clock_that_jumped():
     (finding,) = change_findings([jump], None)
     assert (finding.code, finding.severity, finding.subject) == ("clock-jump", "problem", jump.block)
     assert "near 61.2 s: the time shift of cam0 by 8 +- 0.1 ms" in finding.message
+    knocked = replace(jump, block="cam0.T_cam_imu.rotation", quantity="camera_rotation", size=0.03)
+    both = list(change_findings([jump, knocked], None))  # as where images of two cameras are exchanged from then on
+    assert [one.code for one in both] == ["parameter-changed"] * 2
+    assert all("of one sensor throughout" in one.cure for one in both)
+    elsewhere = replace(knocked, sensor="cam1", block="cam1.T_cam_imu.rotation")
+    assert [one.code for one in change_findings([jump, elsewhere], None)] == ["clock-jump", "parameter-changed"]
     (finding,) = change_findings([replace(jump, at_s=None)], None)  # a clock that drifts
     assert finding.code == "parameter-changed"
     (finding,) = change_findings([jump], USES["ahrs"])

@@ -6,7 +6,7 @@ from scipy.signal import butter, lfilter
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.errors import RecordingError
-from gnomon.estimate.allan.patterns import find_high_pass, find_pattern
+from gnomon.estimate.allan.patterns import find_high_pass, find_pattern, find_steps
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.simulate.scenarios.recorded import NoiseScenario
 from gnomon.simulate.sensor import noise_blocks
@@ -181,6 +181,56 @@ def test_noise_alone_is_behind_no_high_pass(walk) -> None:
         found = find_high_pass(drifting_means(100 + seed, walk), 1.0)
         assert found is None or not found.sure
     assert find_high_pass(drifting_means(1, walk)[:60], 1.0) is None
+
+
+def test_a_high_pass_of_half_of_a_recording_is_seen() -> None:
+    means = drifting_means(6, 0.1)
+    keep = np.exp(-2 * np.pi * 0.006)
+    means[2700:] = lfilter([1.0, -1.0], [1.0, -keep], means[2700:] - means[2700], axis=0)
+    found = find_high_pass(means, 1.0)
+    assert found is not None
+    assert found.sure
+    assert found.axes.all()
+
+
+def zeroed(values: np.ndarray, every: int, shown: int) -> np.ndarray:
+    """Subtract what the last values before showed."""
+    changed = values.copy()
+    for start in range(every, len(values), every):
+        changed[start : start + every] -= values[start - shown : start].mean(axis=0)
+    return changed
+
+
+@pytest.mark.parametrize("walk", [0.005, 0.1])
+def test_steps_of_a_sensor_that_is_zeroed_now_and_then_are_seen(walk) -> None:
+    """Whether what was taken off is mostly noise or mostly a walk; where one axis alone steps, it is that one."""
+    means = drifting_means(7, walk)
+    after = zeroed(means, 300, 1)
+    found = find_steps(after, 5400.0)
+    assert all(one is not None and one.sure and one.kind == "steps" for one in found)
+    assert all(min(one.time_s % 300, 300 - one.time_s % 300) < 30 for one in found)
+    only_y = find_steps(np.where(np.arange(3) == 1, after, means), 5400.0)
+    assert [one is not None and one.sure for one in only_y] == [False, True, False]
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.005, 0.3])
+def test_noise_alone_and_lone_readings_are_no_steps(walk) -> None:
+    for seed in range(5):
+        means = drifting_means(200 + seed, walk)
+        means[[700, 2000, 4100]] += 20.0
+        assert not any(one is not None and one.sure for one in find_steps(means, 5400.0))
+    assert find_steps(drifting_means(1, walk)[:60], 60.0) == (None, None, None)
+
+
+def test_zeroing_is_warned_of_and_widens_what_it_adds_to_the_random_walk() -> None:
+    """Four to eight times the sensor's own random walk passed, up to ten sigma from it."""
+    noise, codes = identified(zeroed(at_rest(), 50 * 150, 25))
+    assert codes["noise-pattern"] == "warning"
+    for axis in noise.gyroscope.axes:
+        assert axis.random_walk.value > 2 * K
+        for kind in ("bias_instability", "random_walk"):
+            found = axis.coefficients()[kind]
+            assert not found.found or found.sigma >= found.value
 
 
 @pytest.mark.parametrize("kind", ["step", "wave", "warm-up"])

@@ -5,10 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...findings import Finding, make_finding
+from ...recording import Integers
 from ...results.camera_diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit, SignalFit
+from ...results.result import Booleans
 
 _FAR = 5.0  # sigmas
 _FAR_INFO, _FAR_WARN = 0.005, 0.05
+_OFTEN, _FEW, _NEARLY_ALL = 0.2, 0.1, 0.8  # of a point's sightings, of the board's points, of all far ones
 _ENDS = 0.15  # of the recording, over which the bias of its start and its end are taken
 _WALKS, _LEAST_RAD_S = 5.0, np.radians(0.1)
 _APART_S, _WANDERS = 0.1, 0.5  # beyond what knots leave of fast motion; of sound recordings it is 0
@@ -55,12 +58,13 @@ def outlying_corners(name: str, fit: CornerFit, points: str = "corners") -> list
     share = float(far.mean())
     if share < _FAR_INFO:
         return []
-    many = share > _FAR_WARN
+    many, place = share > _FAR_WARN, _one_place(fit.point[used], far) if points == "corners" else ""
     return [
         make_finding(
             "corners-outlying",
             severity="warning" if many else "info",
-            case="many" if many else "",
+            case="place" if place else "many" if many else "",
+            place=f" Nearly all of these are number {place} of the board." if place else "",
             share=share,
             points=points,
             name=name,
@@ -69,6 +73,14 @@ def outlying_corners(name: str, fit: CornerFit, points: str = "corners") -> list
             median_size=np.median(size[far]),
         )
     ]
+
+
+def _one_place(point: Integers, far: Booleans) -> str:
+    """Return the numbers of the few points of a board that are far so often that they make nearly all of what is."""
+    seen, bad = np.bincount(point), np.bincount(point[far], minlength=int(point.max()) + 1)
+    often = np.flatnonzero(bad > _OFTEN * np.maximum(seen, 1))
+    few = len(often) <= _FEW * np.count_nonzero(seen) and bad[often].sum() > _NEARLY_ALL * far.sum()
+    return ", ".join(map(str, often)) if few else ""
 
 
 def _drift(name: str, track: BiasTrack) -> list[Finding]:

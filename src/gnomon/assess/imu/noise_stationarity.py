@@ -7,7 +7,7 @@ from math import erf, sqrt
 import numpy as np
 
 from ...detect.samples.rest import RestTable
-from ...estimate.allan.patterns import HighPass, MeansPattern, find_high_pass, find_pattern
+from ...estimate.allan.patterns import HighPass, MeansPattern, find_high_pass, find_pattern, find_steps
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats
@@ -34,7 +34,7 @@ class Stationarity:
     clipped : (3,) share of samples at an end of the range
     spread : (3,) relative standard deviation of the noise density over time, beyond chance
     level : (segments, 3) noise of each segment, relative to the mean one
-    patterns : of each axis, or None
+    patterns : of each axis, or None; those that are not sure widen sigmas, too
     high_pass : what takes slow errors away, or None
     """
 
@@ -71,8 +71,13 @@ def judge_stationarity(table: RestTable, step: Floats) -> Stationarity:
     frozen = frozen_windows(table, step)
     spread, level = _levels(table)
     patterns = [find_pattern(table.mean[~frozen[:, axis], axis], table.duration_s) for axis in range(3)]
+    if (spread <= _UNEVEN_WARN).all():
+        steps = find_steps(table.mean[~frozen.any(axis=1)], table.duration_s)
+        patterns = [
+            other if other and not (one and one.sure) else one for one, other in zip(patterns, steps, strict=True)
+        ]
     interval_s = table.samples / table.rate_hz / max(len(table.t_s), 1)
-    waves = np.array([one is not None and one.kind == "wave" for one in patterns])
+    waves = np.array([one is not None and one.sure and one.kind == "wave" for one in patterns])
     filtered = find_high_pass(table.mean[~frozen.any(axis=1)], interval_s)
     if filtered is not None and (filtered.axes & waves).any():  # below the wave there is less, too
         filtered = replace(filtered, axes=filtered.axes & ~waves) if (filtered.axes & ~waves).any() else None
@@ -215,11 +220,12 @@ def _level_findings(table: RestTable, found: Stationarity, sensor: str) -> list[
 
 
 def _pattern_findings(found: Stationarity, sensor: str) -> list[Finding]:
-    by_axis = [(axis, pattern) for axis, pattern in enumerate(found.patterns) if pattern is not None]
+    by_axis = [(axis, pattern) for axis, pattern in enumerate(found.patterns) if pattern is not None and pattern.sure]
     if not by_axis:
         return []
     words: Mapping[str, str] = {
         "step": "a step of {size:.2g} {unit} at {time:.0f} s",
+        "steps": "steps now and then, the largest of {size:.2g} {unit} at {time:.0f} s",
         "wave": "a wave of {size:.2g} {unit} with a period of {time:.0f} s",
         "warm-up": "a warm-up of {size:.2g} {unit} with a time constant of {time:.0f} s",
     }

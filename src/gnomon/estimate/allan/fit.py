@@ -130,20 +130,22 @@ class AllanFit:
         optional: int = 0,
         unfiltered: int | None = None,
         triad: Floats | None = None,
+        *,
+        sure: bool = True,
     ) -> AxisFit:
         """Fit the Allan variances (k,) of one axis without the straight line through its samples, of this slope.
 
         What all axes of the `triad` together tell of noise of other slopes (2,), from `other_slopes`, counts as well.
 
-        Only so many averaging times are `unfiltered` where a filter is known to take slow errors away.
+        Only so many averaging times are `unfiltered` where a filter takes slow errors away, for `sure` or perhaps.
         So many of the shortest averaging times may be left out, where a filter or vibration makes them misfit: up to
         the first one without misfit, or the one of which the least remains.
         """
         straight = np.maximum(straight, _TINY * straight.max())
         stop = self._falls_from(straight)
+        falls = stop < len(straight) or (unfiltered is not None and sure)
         if unfiltered is not None:
             stop = min(stop, max(unfiltered, _FEWEST))
-        falls = stop < len(straight)
         triad = np.zeros(len(_BETWEEN)) if triad is None else triad - _OF_TRIAD
         first, kinds, misfit = self._part(0, stop)._explained(straight[:stop], optional, triad)
         part = self._part(first, stop)

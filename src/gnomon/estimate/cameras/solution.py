@@ -29,6 +29,7 @@ _BAD_FRAME = 4.0  # scatter of a frame over the usual one
 _REMOVALS = 3
 
 
+_IMAGED = 0.5  # of the corners in use
 _OTHER_BOARD = "Check that the target file describes the board."
 
 
@@ -68,8 +69,8 @@ def solve_rig(
     except np.linalg.LinAlgError as error:
         raise SolveError(f"the estimation of the cameras runs away. {_OTHER_BOARD}") from error
     for name, seen in found.corners.items():
-        if not np.isfinite(seen.residual).any():
-            raise SolveError(f"{name}: the estimation runs away, its lens images no corner. {_OTHER_BOARD}")
+        if not np.isfinite(seen.residual).mean() > _IMAGED:
+            raise SolveError(f"{name}: the estimation runs away, its lens images few of the corners. {_OTHER_BOARD}")
     return found
 
 
