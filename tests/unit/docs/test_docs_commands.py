@@ -38,7 +38,7 @@ def run(arguments, *, may_fail=False):
 
 
 LESS = {
-    "camera-imu": ["--camera-rate-hz", "5"],
+    "camera-imu": ["--camera-rate-hz", "4"],
     "platter-video": ["--duration-s", "20"],
     "noise": ["--duration-s", "2400"],
     "cameras": ["--views", "12"],
