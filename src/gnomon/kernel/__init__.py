@@ -9,7 +9,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 9  # of kernel.c, which `library` is written for
+_INTERFACE = 10  # of kernel.c, which `library` is written for
 
 
 _LOOPS = (

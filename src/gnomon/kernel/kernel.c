@@ -37,7 +37,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 9 /* changes whenever the arguments of a function do */
+#define INTERFACE 10 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -942,7 +942,9 @@ CLONES EXPORT void gnomon_integrate_rates(int64_t m, const int64_t *lengths, con
 #endif
 #define TIMES 6      /* averaging times m, 2 m, 4 m, ... whose squares are added up in one pass */
 #define SHORT 12     /* averaging times of 1, 2, 4, ... samples, a multiple of TIMES */
-#define STRETCH 8192 /* terms whose sums stay in the nearer memory for all of them */
+#define STRETCH 8192 /* terms whose sums stay in the nearer memory for all of them, in rows */
+#define ROW 4096     /* 2^SHORT */
+#define AHEAD 100    /* samples that are asked for before they are needed */
 
 #if defined(__GNUC__)
 typedef double Lane __attribute__((vector_size(32), aligned(8), may_alias));
@@ -951,10 +953,27 @@ typedef double Lane;
 #endif
 #define LANES ((int64_t)(sizeof(Lane) / sizeof(double)))
 
+#if defined(__GNUC__)
+INLINE void fetch(const double *later) { __builtin_prefetch(later); }
+#else
+INLINE void fetch(const double *later) { (void)later; }
+#endif
+
 INLINE double added(const Lane *lane) {
     const double *each = (const double *)lane;
     double sum = 0.0;
     for (int64_t j = 0; j < LANES; j++) sum += each[j];
+    return sum;
+}
+
+INLINE double allan_total(int64_t n, const double *S) {
+    Lane total[4] = {{0.0}};
+    double sum = 0.0;
+    int64_t k = 0;
+    for (; k + 4 * LANES <= n; k += 4 * LANES)
+        for (int j = 0; j < 4; j++) total[j] += *(const Lane *)(S + k + j * LANES);
+    for (; k < n; k++) sum += S[k];
+    for (int j = 0; j < 4; j++) sum += added(total + j);
     return sum;
 }
 
@@ -979,12 +998,40 @@ INLINE void allan_squares(int64_t start, int64_t stop, int64_t m, int times, con
     }
 }
 
+#if defined(__GNUC__) && defined(__x86_64__)
+typedef double Wide __attribute__((vector_size(64), aligned(8), may_alias));
+
+/* The same for TIMES of them, eight terms at once where the processor can; returns where it left off. */
+FUSED __attribute__((target("avx512f"))) static int64_t allan_wide(int64_t start, int64_t stop, int64_t m, const double *S,
+                                                                   double *squares) {
+    Wide total[TIMES] = {{0.0}};
+    for (; start + 8 <= stop; start += 8) {
+        const double *s = S + start;
+        const Wide first = *(const Wide *)s;
+        Wide near = *(const Wide *)(s + m) - first;
+        for (int time = 0; time < TIMES; time++) {
+            const Wide far = *(const Wide *)(s + (m << (time + 1))) - first, z = far - 2.0 * near;
+            total[time] += z * z, near = far;
+        }
+    }
+    for (int time = 0; time < TIMES; time++)
+        for (int j = 0; j < 8; j++) squares[time] += ((const double *)(total + time))[j];
+    return start;
+}
+#else
+#define allan_wide(start, stop, m, S, squares) (start)
+#define __builtin_cpu_supports(what) 0
+#endif
+
 /* The same of S (n), at whose end longer averaging times have fewer terms. */
 INLINE void allan_terms(int64_t start, int64_t stop, int64_t n, int64_t m, int times, const double *S, double *squares) {
     for (; times && start < stop; times--) {
         const int64_t left = n - (m << times), to = left < start ? start : left < stop ? left : stop;
         switch (times) {
-        case 6: allan_squares(start, to, m, 6, S, squares); break;
+        case TIMES:
+            if (__builtin_cpu_supports("avx512f")) start = allan_wide(start, to, m, S, squares);
+            allan_squares(start, to, m, TIMES, S, squares);
+            break;
         case 5: allan_squares(start, to, m, 5, S, squares); break;
         case 4: allan_squares(start, to, m, 4, S, squares); break;
         case 3: allan_squares(start, to, m, 3, S, squares); break;
@@ -995,65 +1042,89 @@ INLINE void allan_terms(int64_t start, int64_t stop, int64_t n, int64_t m, int t
     }
 }
 
-/* Goes on adding up samples (n, 3) about `zero` (3): S[k + 1] (3 times `apart`), `sum` being the last ones, and the sums
-   of all S[k] in `line`. */
+/* Goes on adding up samples (n, 3) about `zero` (3): S (3 times `apart`), sum being what is before the first. */
 INLINE void allan_add_up(int64_t n, const double *y, int64_t step, int64_t across, const double *zero, int64_t apart,
-                         double *S, double *sum, double *line) {
+                         double *S, double *sum) {
     const double zero_0 = zero[0], zero_1 = zero[1], zero_2 = zero[2];
-    double sum_0 = sum[0], sum_1 = sum[1], sum_2 = sum[2], line_0 = 0.0, line_1 = 0.0, line_2 = 0.0;
+    double sum_0 = sum[0], sum_1 = sum[1], sum_2 = sum[2];
     for (int64_t k = 0; k < n; k++, y += step) {
-        line_0 += sum_0, line_1 += sum_1, line_2 += sum_2;
+        fetch(y + AHEAD * step);
         S[k] = sum_0 += y[0] - zero_0;
         S[k + apart] = sum_1 += y[across] - zero_1;
         S[k + 2 * apart] = sum_2 += y[2 * across] - zero_2;
     }
-    sum[0] = sum_0, sum[1] = sum_1, sum[2] = sum_2, line[0] += line_0, line[1] += line_1, line[2] += line_2;
+    sum[0] = sum_0, sum[1] = sum_1, sum[2] = sum_2;
 }
 
+INLINE double *aligned(double *memory) { return (double *)(((uintptr_t)memory + 63) & ~(uintptr_t)63); }
+
 /* Of samples (n, 3) about `zero` (3), `step` from one to the next and `across` from axis to axis, of which the first
-   `count` begin a term. S (3, n + 1); squares: of z (3, SHORT); line: sums of the first `count` of S (3). */
+   `count` begin a term. marks: S[0], S[ROW], S[2 ROW], ... (., 3) up to S[count], `end` the last (3); squares: of z (3,
+   SHORT); line: sums of the first `count` of S (3); thinned: sums (., 3) of `stride` samples each, if that is above 1;
+   work: 3 (STRETCH + ROW + 8) + 8. */
 FUSED CLONES EXPORT void gnomon_allan_short(int64_t n, const double *y, int64_t step, int64_t across, const double *zero,
-                                      int64_t count, double *S, double *squares, double *line) {
-    double sum[3] = {0.0}, unused[3];
-    for (int i = 0; i < 3; i++) S[i * (n + 1)] = 0.0;
+                                      int64_t count, int64_t stride, double *marks, double *end, double *squares,
+                                      double *line, double *thinned, double *work) {
+    const int64_t apart = STRETCH + ROW + 8;
+    double *S = aligned(work), sum[3] = {0.0}; /* of this stretch, and what its terms reach beyond */
+    for (int i = 0; i < 3; i++) S[i * apart] = 0.0;
     for (int64_t start = 0, known = 0; start < count; start += STRETCH) {
-        const int64_t stop = count - start < STRETCH ? count : start + STRETCH;
-        while (known < n && known < stop + (1 << SHORT)) { /* the line is that of the first `count` */
-            const int64_t next = stop + (1 << SHORT) < n ? stop + (1 << SHORT) : n;
-            const int64_t to = known < count && count < next ? count : next;
-            allan_add_up(to - known, y + known * step, step, across, zero, n + 1, S + known + 1, sum,
-                         known < count ? line : unused);
-            known = to;
-        }
-        for (int i = 0; i < 3; i++)
+        const int64_t stop = count - start < STRETCH ? count : start + STRETCH, next = stop + ROW < n ? stop + ROW : n;
+        if (start)
+            for (int i = 0; i < 3; i++)
+                memcpy(S + i * apart, S + i * apart + STRETCH, (size_t)(known - start + 1) * sizeof(double));
+        allan_add_up(next - known, y + known * step, step, across, zero, apart, S + known - start + 1, sum);
+        known = next;
+        for (int i = 0; i < 3; i++) {
+            const double *s = S + i * apart;
+            for (int64_t k = start; k < stop || k == count; k += ROW) marks[k / ROW * 3 + i] = s[k - start];
+            for (int64_t k = start; stride > 1 && k < stop && k + stride <= count; k += stride)
+                thinned[k / stride * 3 + i] = s[k - start + stride] - s[k - start];
+            end[i] = s[stop - start];
+            line[i] += allan_total(stop - start, s);
             for (int time = 0; time < SHORT; time += TIMES)
-                allan_terms(start, stop, n + 1, (int64_t)1 << time, TIMES, S + i * (n + 1), squares + SHORT * i + time);
+                allan_terms(0, stop - start, n + 1 - start, (int64_t)1 << time, TIMES, s, squares + SHORT * i + time);
+        }
     }
 }
 
-/* Of S in rows of m (n in all), from each of which `zero` lacks, for averaging times of m, 2 m, 4 m, ... places, `width`
-   places of the rows at once; work: width (n / m + 1). totals: sums of z. */
-FUSED CLONES EXPORT void gnomon_allan_long(int64_t n, const double *const *S, const double *zero, int64_t m, int64_t width,
-                                     int64_t levels, double *work, double *squares, double *totals) {
-    const int64_t rows = n / m, rest = n % m; /* the first places have a row more */
+/* Of S in rows of m (n in all), which begin with `marks` (rows, 3) and go on with samples (., 3) about `zero` (3), for
+   averaging times of m, 2 m, 4 m, ... places, `width` places of the rows at once; marks are changed; work: 3 width
+   (rows + 1) + 8. totals: sums of z. */
+FUSED CLONES EXPORT void gnomon_allan_long(int64_t n, const double *const *y, double *marks, const double *zero, int64_t m,
+                                     int64_t width, int64_t levels, double *work, double *squares, double *totals) {
+    const int64_t rows = n / m, rest = n % m, apart = width * (rows + 1); /* the first places have a row more */
+    const double zero_0 = zero[0], zero_1 = zero[1], zero_2 = zero[2];
+    work = aligned(work);
     for (int64_t first = 0; first < m;) {
         const int64_t stop = first < rest ? rest : m, columns = stop - first < width ? stop - first : width;
         const int64_t height = first < rest ? rows + 1 : rows, length = height * columns;
-        for (int64_t r = 0; r < height; r++)
-            for (int64_t k = 0; k < columns; k++) work[r * columns + k] = S[r][first + k] + zero[r];
-        for (int64_t level = 0, times; level < levels; level += times) {
-            times = levels - level < TIMES ? levels - level : TIMES;
-            allan_terms(0, length, length, columns << level, (int)times, work, squares + level);
+        for (int64_t r = 0; r < height; r++) {
+            double sum_0 = marks[3 * r], sum_1 = marks[3 * r + 1], sum_2 = marks[3 * r + 2], *s = work + r * columns;
+            const double *later = y[r + 4 < height ? r + 4 : r] + 3 * first;
+            for (int64_t k = 0; k < columns; k++) {
+                fetch(later + 3 * k);
+                if (first + k) {
+                    const double *sample = y[r] + 3 * (first + k - 1);
+                    sum_0 += sample[0] - zero_0, sum_1 += sample[1] - zero_1, sum_2 += sample[2] - zero_2;
+                }
+                s[k] = sum_0, s[k + apart] = sum_1, s[k + 2 * apart] = sum_2;
+            }
+            marks[3 * r] = sum_0, marks[3 * r + 1] = sum_1, marks[3 * r + 2] = sum_2;
         }
-        for (int64_t level = 0, lag = columns; level < levels && 2 * lag < length; level++, lag *= 2) {
-            const double *end = work + length - lag; /* of all z, what is left of their terms is at either end */
-            Lane total = {0.0};
-            int64_t k = 0;
-            for (; k + LANES <= lag; k += LANES)
-                total += (*(const Lane *)(end + k) - *(const Lane *)(end + k - lag)) -
-                         (*(const Lane *)(work + k + lag) - *(const Lane *)(work + k));
-            for (totals[level] += added(&total); k < lag; k++)
-                totals[level] += (end[k] - end[k - lag]) - (work[k + lag] - work[k]);
+        for (int i = 0; i < 3; i++) {
+            const double *s = work + i * apart;
+            for (int64_t level = 0, times; level < levels; level += times) {
+                times = levels - level < TIMES ? levels - level : TIMES;
+                allan_terms(0, length, length, columns << level, (int)times, s, squares + i * levels + level);
+            }
+            double head = allan_total(columns, s), tail = allan_total(columns, s + length - columns);
+            for (int64_t level = 0, lag = columns; level < levels && 2 * lag < length; level++, lag *= 2) {
+                /* of all z, what is left of their terms is at either end */
+                const double inner = allan_total(lag, s + lag), outer = allan_total(lag, s + length - 2 * lag);
+                totals[i * levels + level] += (tail - outer) - (inner - head);
+                head += inner, tail += outer;
+            }
         }
         first += columns;
     }

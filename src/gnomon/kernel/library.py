@@ -260,41 +260,46 @@ def integrate_segments(
     return rotation, sensitivity
 
 
-def allan_short(values: Floats, zero: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return sums (3, n + 1) of the first samples (n, 3) about a zero (3,); the first `count` begin a term.
+def allan_short(values: Floats, zero: Floats, count: int, stride: int) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return sums of the first samples (n, 3) about a zero (3,); the first `count` begin a term.
 
     Returns
     -------
-    the sums, those of z_m^2 (3, k) for 1, 2, 4, ... samples averaged, and those of the first `count` sums (3,)
+    the sums of the first 0, 2^12, 2 2^12, ... samples (k, 3) and of the first `count` (3,), those of z_m^2 (3, k) for
+    1, 2, 4, ... samples averaged, those of the first `count` sums (3,), and those of `stride` samples each (k, 3)
     """
     library = load_kernel()
     assert library is not None
-    sums, squares, line = np.empty((3, len(values) + 1)), np.zeros((3, ALLAN_SHORT)), np.zeros(3)
+    row = 1 << ALLAN_SHORT
+    marks, end, line = np.empty((count // row + 1, 3)), np.empty(3), np.zeros(3)
+    squares, thinned = np.zeros((3, ALLAN_SHORT)), np.empty((count // stride if stride > 1 else 0, 3))
     step, across = (_long(stride // values.itemsize) for stride in values.strides)
     library.gnomon_allan_short(
         *(_long(len(values)), ctypes.c_void_p(values.ctypes.data), step, across, _at(zero), _long(count)),
-        *map(_out, (sums, squares, line)),
+        *(_long(stride), *map(_out, (marks, end, squares, line, thinned, np.empty(3 * (3 * row + 8) + 8)))),
     )
-    return sums, squares, line
+    return marks, end, squares, line, thinned
 
 
-def allan_long(sums: Sequence[Floats], zeros: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
-    """Return sums of z_m^2 and of z_m (levels,) for m, 2 m, 4 m, ... places of sums, in parts that lack a zero each.
+def allan_long(samples: Sequence[Floats], marks: Floats, zero: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
+    """Return sums of z_m^2 and of z_m (3, levels) for averaging times of m, 2 m, 4 m, ... samples.
 
     Parameters
     ----------
-    sums : all but the last in multiples of m
-    zeros : (parts,)
+    samples : in parts (k, 3), all but the last of multiples of m
+    marks : sums of what is before every m-th (rows, 3); they are changed
+    zero : about which the samples are summed up (3,)
     """
     library = load_kernel()
     assert library is not None
-    rows = [(len(part) - 1) // m + 1 for part in sums]
-    starts = [part.ctypes.data + m * part.itemsize * np.arange(count) for part, count in zip(sums, rows, strict=True)]
-    width = min(m, max(_NEAR // sum(rows) // 8 * 8, 8))
-    squares, totals = np.zeros((2, levels))
+    parts = [np.ascontiguousarray(part) for part in samples]
+    starts = [part.ctypes.data + m * part.strides[0] * np.arange(-(-len(part) // m)) for part in parts]
+    rows = np.concatenate([*starts, np.zeros(1, np.int64)])  # the last one may be a sum without a sample
+    width = min(m, max(_NEAR // len(marks) // 8 * 8, 8))
+    squares, totals, work = np.zeros((3, levels)), np.zeros((3, levels)), np.empty(3 * width * (len(marks) + 1) + 8)
     library.gnomon_allan_long(
-        *(_long(sum(map(len, sums))), _at(np.concatenate(starts)), _at(np.repeat(zeros, rows)), _long(m), _long(width)),
-        *(_long(levels), *map(_out, (np.empty(width * sum(rows)), squares, totals))),
+        *(_long(sum(map(len, parts)) + 1), _at(rows), _out(marks), _at(zero), _long(m), _long(width), _long(levels)),
+        *map(_out, (work, squares, totals)),
     )
     return squares, totals
 

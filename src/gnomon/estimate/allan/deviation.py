@@ -4,23 +4,20 @@ With S(k), the sum of the first k samples, the overlapping Allan variance of m s
 over all k, divided by 2 m^2, where z_m(k) = S(k + 2 m) - 2 S(k + m) + S(k). Averaging times m are powers of two.
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from math import log2
-from typing import Any
 
 import numpy as np
 
 from ...frozen import value_class
 from ...kernel import load_kernel
 from ...kernel.library import ALLAN_SHORT, allan_long, allan_short
+from ...processes import results_ahead
 from ...recording import Floats, Integers
 
 _HALO = 1 << ALLAN_SHORT
-"""Averaging times below 2^12 samples are summed up as the samples come, longer ones from the S that are kept."""
-_CHUNK, _CHUNKS = 1 << 18, 4  # samples of a chunk, and how many are worked on at once
-_KEPT = 1 << 22  # S kept of each axis; of longer recordings every second, fourth, ... one
+"""Averaging times below 2^12 samples are summed up as the samples come, longer ones from samples that are kept."""
+_CHUNK, _CHUNKS = 1 << 18, 4  # samples of a chunk, and how many are taken at once
+_KEPT = 1 << 22  # samples kept; of longer recordings two, four, ... are one
 
 
 @value_class
@@ -64,8 +61,8 @@ class AllanSums:
         self.samples = 0
         self._waiting = self._first = np.empty((0, 3))  # the last samples, and the first ones
         self._squares, self._terms = np.zeros((3, ALLAN_SHORT)), np.zeros(ALLAN_SHORT)
-        self._kept: list[Floats] = []  # S (3, k) from a chunk's own beginning, at every `stride`-th sample
-        self._zeros: list[Floats] = []  # S (3,) where the chunks begin
+        self._kept: list[Floats] = []  # samples (k, 3), each the sum of `stride`
+        self._marks: list[Floats] = []  # S (k, 3) of the first 0, 2^12, 2 2^12, ... samples
         self._stride = 1
         self._line = np.zeros((3, 3))  # number of samples, their sums, their sums times their numbers; from the first
 
@@ -86,21 +83,24 @@ class AllanSums:
             self._first = values[:_HALO].copy()
         parts = [(values[k : k + _CHUNK + _HALO], min(count - k, _CHUNK)) for k in range(0, count, _CHUNK)]
         parts = [(part[: own + _HALO], own) for part, own in parts]
-        for (part, own), found in zip(parts, _side_by_side(partial(_short_sums, self._first[0]), parts), strict=True):
-            sums, squares, line = found
+        sums = results_ahead(lambda part: _short_sums(*part, self._first[0], self._stride), parts)
+        for (part, own), (marks, end, squares, line, thinned) in zip(parts, sums, strict=True):
             self._squares += squares
             self._terms += np.clip(len(part) + 1 - (2 << np.arange(ALLAN_SHORT)), 0, own)
-            kept = sums[:, : own + (own == len(part)) : self._stride]
-            self._kept.append(kept if self._stride == 1 else kept.copy())
-            self._zeros.append(self._line[1].copy())
-            self._line += [
-                np.full(3, own),
-                sums[:, own],
-                (own - 1) * sums[:, own] - line + self._line[0] * sums[:, own],
+            self._kept.append(part[:own] if self._stride == 1 else thinned)
+            self._marks.append((marks if own == len(part) else marks[:-1]) + self._line[1])
+            self._line += [np.full(3, own), end, (own - 1) * end - line + self._line[0] * end]
+        if sum(map(len, self._kept)) > _KEPT:
+            ends = [len(part) // 2 * 2 for part in self._kept]
+            self._kept = [
+                part[:end:2] + part[1:end:2] - 2 * self._zero for part, end in zip(self._kept, ends, strict=True)
             ]
-        if sum(part.shape[1] for part in self._kept) > _KEPT:
-            self._kept, self._zeros = [_joined(self._kept, self._zeros)[:, ::2].copy()], [np.zeros(3)]
             self._stride *= 2
+
+    @property
+    def _zero(self) -> Floats:
+        """What kept samples are summed up about, (3,)."""
+        return self._first[0] if self._stride == 1 else np.zeros(3)
 
     def variance(self, rate_hz: float) -> AllanVariance:
         """Return the variances over all samples so far, at most a third of them averaged; ends the summation."""
@@ -110,13 +110,10 @@ class AllanSums:
         factors = 1 << np.arange(levels, dtype=np.int64)
         squares, terms, totals = self._squares[:, :levels], self._terms[:levels], self._totals(rest, factors)
         if levels > ALLAN_SHORT:
-            parts = [([part[i] for part in self._kept], np.array(self._zeros)[:, i]) for i in range(3)]
             m = _HALO // self._stride
-            long = _side_by_side(partial(_long_sums, m, levels - ALLAN_SHORT), parts)
-            squares, totals = (
-                np.append(a, b, axis=1) for a, b in zip((squares, totals), zip(*long, strict=True), strict=True)
-            )
-            held = sum(len(part) for part in parts[0][0])
+            long = _long_sums(self._kept, np.concatenate(self._marks), self._zero, m, levels - ALLAN_SHORT)
+            squares, totals = (np.append(a, b, axis=1) for a, b in zip((squares, totals), long, strict=True))
+            held = sum(map(len, self._kept)) + 1
             terms = np.append(terms, held - 2 * (m << np.arange(levels - ALLAN_SHORT)))
         self._kept, self._waiting = [], np.empty((0, 3))  # other sums may need the memory
         n, total, numbered = self._line
@@ -147,36 +144,31 @@ def _levels(samples: int) -> int:
     return int(log2(samples / 3)) + 1 if samples >= 3 else 0
 
 
-def _side_by_side(work: Callable[..., Any], parts: Sequence[tuple[Any, Any]]) -> list[Any]:
-    """Do a piece of work for every part; the kernel and NumPy let other threads run in their long loops."""
-    if len(parts) == 1:
-        return [work(*parts[0])]
-    with ThreadPoolExecutor(len(parts)) as pool:
-        return list(pool.map(work, *zip(*parts, strict=True)))
-
-
-def _joined(parts: list[Floats], zeros: Sequence[Floats] | Floats) -> Floats:
-    """Return S in one piece."""
-    return np.concatenate([(part.T + zero).T for part, zero in zip(parts, zeros, strict=True)], axis=-1)
-
-
-def _short_sums(zero: Floats, values: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+def _short_sums(values: Floats, count: int, zero: Floats, stride: int) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return sums of samples (n, 3) for averaging times below 2^12 samples, see `allan_short`."""
     if load_kernel() is not None:
-        return allan_short(values, zero, count)
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values - zero, axis=0)]).T.copy()
-    squares = [np.sum(_differences(sums, 1 << level)[:, :count] ** 2, axis=1) for level in range(ALLAN_SHORT)]
-    return sums, np.stack(squares, axis=1), sums[:, :count].sum(axis=1)
+        return allan_short(values, zero, count, stride)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values - zero, axis=0)])
+    squares = [np.sum(_differences(sums, 1 << level)[:count] ** 2, axis=0) for level in range(ALLAN_SHORT)]
+    first = sums[: count + 1]
+    return (
+        first[::_HALO],
+        first[-1],
+        np.stack(squares, axis=1),
+        first[:-1].sum(axis=0),
+        np.diff(first[::stride], axis=0),
+    )
 
 
-def _long_sums(m: int, levels: int, parts: list[Floats], zeros: Floats) -> tuple[Floats, Floats]:
-    """Return sums for averaging times of m, 2 m, 4 m, ... places of one axis, see `allan_long`."""
+def _long_sums(samples: list[Floats], marks: Floats, zero: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
+    """Return sums for averaging times of m, 2 m, 4 m, ... samples, see `allan_long`."""
     if load_kernel() is not None:
-        return allan_long(parts, zeros, m, levels)
-    found = [_differences(_joined(parts, zeros), m << level) for level in range(levels)]
-    return np.array([z @ z for z in found]), np.array([z.sum() for z in found])
+        return allan_long(samples, marks, zero, m, levels)
+    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), *(part - zero for part in samples)]), axis=0)
+    found = [_differences(sums, m << level) for level in range(levels)]
+    return np.stack([np.sum(z**2, axis=0) for z in found], axis=1), np.stack([z.sum(axis=0) for z in found], axis=1)
 
 
 def _differences(sums: Floats, m: int) -> Floats:
-    """Return z_m from S along the last axis."""
-    return sums[..., 2 * m :] - 2 * sums[..., m:-m] + sums[..., : -2 * m]
+    """Return z_m from S (n, 3)."""
+    return sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m]
