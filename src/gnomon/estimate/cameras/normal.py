@@ -100,17 +100,17 @@ def accumulate_normal_equations(
     views, q = len(rig.p_cam0_target), layout.narrow
     points = (layout.offsets.stop - layout.offsets.start) // 3
     gram = np.zeros((views, POSE + q + 1, POSE + q + 1))
-    by_points = np.zeros((views, points, POSE + q + 1, 3))
+    by_points = np.zeros((POSE + q + 1, views, 3 * points))
     squares, cost = np.zeros((views, points, 3, 3)), np.zeros(views)
     where, moves = board_points(target, rig.board), layout.board_moves(target)
     found: list[CornerSums] = []
     for seen in corners:
         R, p = poses_in_camera(rig, seen)
-        products = None
+        products, each = None, np.zeros(0, np.int64)
         if points:
-            each = np.arange(len(seen.point))  # the offset of each corner of each view by itself
+            each = seen.of_corner * points + seen.point  # the offset of each corner of each view by itself
             width = len(layout.own[seen.name]) + len(moves) + 1
-            products = CornerProducts(each, np.ones(len(each), bool), len(each), width)
+            products = CornerProducts(each, np.ones(len(each), bool), views * points, width)
         sums = corner_sums(
             replace(seen.exposures, points=where[seen.point]),
             rig.cameras[seen.name],
@@ -126,13 +126,14 @@ def accumulate_normal_equations(
         cost[seen.view] += np.bincount(seen.exposures.of_corner, sums.corner_cost, len(seen))
         cost[seen.view] += (sums.lengths - sums.valid) * _lost_cost(rig, seen, noise[seen.name])
         if products is not None:  # a corner of the board is once in an exposure at most
-            by_row = np.concatenate([products.by_twist, products.rest.transpose(1, 0, 2)], axis=1)
-            by_points[seen.of_corner, seen.point] += mapped.T @ by_row
-            squares[seen.of_corner, seen.point] += products.squares
+            rows = np.zeros((POSE + len(products.rest), views * points, 3))
+            rows[:POSE, each], rows[POSE:] = products.by_twist.swapaxes(0, 1), products.rest
+            by_points += (mapped.T @ rows.reshape(len(rows), -1)).reshape(by_points.shape)
+            squares += products.squares.reshape(squares.shape)
         found.append(sums)
     return ViewNormalEquations(
         gram=gram,
-        by_points=by_points.transpose(0, 2, 1, 3).reshape(views, POSE + q + 1, 3 * points),
+        by_points=by_points.swapaxes(0, 1),
         squares=squares,
         cost=cost,
         sums=tuple(found),
