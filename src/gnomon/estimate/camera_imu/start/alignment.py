@@ -456,7 +456,6 @@ def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str, *, limi
     n = np.maximum(samples, 1.0)
     covariance = cross - sum_camera[:, None] * sum_gyro[None, :] / n
     gyro_energy = np.maximum(square_gyro - (sum_gyro**2).sum(axis=0) / n, 1e-12)
-    nuclear = np.linalg.svd(np.moveaxis(covariance, -1, 0), compute_uv=False).sum(axis=1)
     lag = np.arange(size)
     lag = np.where(lag > len(grid), lag - size, lag)
     between = float(np.median(np.diff(turns.start_s)))
@@ -466,9 +465,11 @@ def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str, *, limi
             f"{name}: the streams of camera ({turns.stop_s[-1] - turns.start_s[0]:.1f} s) and IMU "
             f"({last - first:.1f} s) are too short to overlap by {_SHORTEST_OVERLAP_S:g} s. Record both for a minute."
         )
-    energy = (camera**2).sum()
-    score = np.where(enough, nuclear / np.sqrt(energy * gyro_energy), 0.0)
-    best = int(np.argmax(score))
+    # By the sum of the singular values, which is between the root of their squares' sum and root 3 times as much.
+    least = np.sqrt((covariance**2).sum(axis=(0, 1)) / gyro_energy)
+    likely = np.flatnonzero(enough & ~(np.sqrt(3.0) * least < least[enough].max()))
+    nuclear = np.linalg.svd(np.moveaxis(covariance[:, :, likely], -1, 0), compute_uv=False).sum(axis=1)
+    best = int(likely[np.argmax(nuclear / np.sqrt(gyro_energy[likely]))])
     return float(lag[best]) * _GRID_S + first - camera_start
 
 

@@ -254,15 +254,15 @@ def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> 
     corner = np.repeat(known, sums.lengths) & np.isfinite(sums.residual[:, 0])
     frame = np.repeat(exposures.frame, sums.lengths)[corner]
     comparable = sums.comparable[corner]
-    pairs = np.empty(len(frame), dtype=np.complex128)  # sorted frame by frame, and by distance in each
-    pairs.real, pairs.imag = frame, np.einsum("ij,ij->i", comparable, comparable)
-    ordered = np.sort(pairs).imag
-    size = int(exposures.frame.max()) + 1
-    counts = np.bincount(frame, minlength=size)
-    middle = np.cumsum(counts) - counts + counts // 2
-    found = np.full(size, np.nan)
-    some = counts > 0
-    found[some] = ordered[middle[some]] / (2 * np.log(2))
+    order = np.argsort(frame, kind="stable")  # frames of a rolling shutter come row by row
+    frame, squared = frame[order], np.einsum("ij,ij->i", comparable, comparable)[order]
+    found = np.full(int(exposures.frame.max()) + 1, np.nan)
+    counts = np.bincount(frame, minlength=len(found))
+    some = np.flatnonzero(counts)
+    by_frame = np.full((len(found), int(counts.max(initial=0))), np.inf)
+    by_frame[frame, np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)] = squared
+    by_frame.sort(axis=1)
+    found[some] = by_frame[some, counts[some] // 2] / (2 * np.log(2))
     return found
 
 
