@@ -53,6 +53,7 @@ _OTHERS = {
 _CURES = {
     "gyroscope_scale": _WARM,
     "accelerometer_scale": _WARM,
+    "time_shift": "Stamp images and samples by one clock (a hardware trigger, or PTP)",
     "heading": "Keep iron, magnets and cables away from the sensor, or fix them to it",
 }
 _SCALES: Mapping[str, _Scale] = (

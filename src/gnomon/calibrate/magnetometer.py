@@ -370,7 +370,11 @@ def _fit_models(prepared: PreparedField, options: MagnetometerOptions, known: Pr
         fit = fit_magnetometer(poses, shape, usual, field=field, prior=prior, near=near)
     rivals: dict[str, MagnetometerFit] = {"full": fit}
     if options.model != "full" and prior is None and not near:
-        rivals["hard-iron"] = fit_magnetometer(poses, shape, usual, field=field, model="hard-iron")
+        try:
+            rivals["hard-iron"] = fit_magnetometer(poses, shape, usual, field=field, model="hard-iron")
+        except InitialisationError:  # on a small part of a sphere
+            if options.model == "hard-iron":
+                raise
         if options.model == "hard-iron":
             fit = rivals["hard-iron"] = with_soft_iron_unknown(rivals["hard-iron"], rivals["full"])
     return poses, fit, rivals

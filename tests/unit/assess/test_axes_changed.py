@@ -109,3 +109,27 @@ def test_a_gyroscope_that_hangs_while_the_sensor_is_turned_over_is_no_reversed_a
     hung = replace(recording, imus={"imu0": replace(imu, gyroscope=replace(imu.gyroscope, values=rates))})
     codes = {one.code for one in gnomon.calibrate_imu(hung).calibration.assessment.findings}
     assert "axes-changed" not in codes
+
+
+@pytest.mark.parametrize("seed", [45, 56, 63, 68])
+def test_recordings_joined_between_opposite_attitudes_are_no_reversed_accelerometer(seed: int) -> None:
+    """The one rotation that nobody recorded is left out; its residual across the directions would be none."""
+    recording = gnomon.simulate(gnomon.Scenario(intervals=30), seed)[0]
+    imu = recording.imus["imu0"]
+    detection = find_imu_rests(imu)
+    assert detection is not None
+    rests = detection.chosen.intervals
+    up = interval_means(imu.accelerometer.values, rests)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    ends = np.triu(up @ up.T, 1)
+    one, other = np.unravel_index(np.argmin(ends), ends.shape)
+    assert ends[one, other] < -0.99
+    first, second = (int(rests.start[k] + rests.stop[k]) // 2 for k in (one, other))
+    order = np.concatenate([np.arange(first), np.arange(second, len(imu.accelerometer))])
+    parts = {
+        triad: replace(samples, t_ns=samples.t_ns[: len(order)], values=samples.values[order])
+        for triad, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+    }
+    calibration = gnomon.calibrate_imu(replace(recording, imus={"imu0": replace(imu, **parts)})).calibration
+    assert calibration.verdict == "pass"
+    assert "axes-changed" not in {one.code for one in calibration.assessment.findings}

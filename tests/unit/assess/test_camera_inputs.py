@@ -99,6 +99,16 @@ def test_copies_that_were_coded_anew_count_once_in_a_lens_calibration_alone():
     assert len(kept.cameras["cam0"].frame) == len(anew["cam0"].frame)
 
 
+def test_one_topic_given_to_two_cameras_is_named():
+    recording = gnomon.simulate_cameras(CamerasScenario(views=20, cameras=2), 4).recording
+    assert not without_copies(recording)[1]
+    one, other = recording.cameras.values()
+    twice = {"cam0": one, "cam1": replace(one, camera=other.camera)}
+    (found,) = without_copies(replace(recording, cameras=twice))[1]
+    assert (found.code, found.severity, found.subject) == ("views-copied", "problem", "cam1")
+    assert "same corners" in found.message
+
+
 def test_views_in_another_order_of_corners_are_copies_too():
     recording = gnomon.simulate_cameras(CamerasScenario(views=4), 5).recording
     frames = recording.cameras["cam0"]

@@ -373,3 +373,27 @@ def test_euroc_is_no_recording_for_an_imu_alone(real_data) -> None:
 def test_mikov(real_data, number) -> None:
     recording = gnomon.read(real_data(f"mikov-mpu9150-multipos/imu{number}.log"), rate_hz=100)
     assert not [finding for finding in gnomon.check(recording) if finding.severity in BAD]
+
+
+def test_columns_of_both_triads_exchanged_are_named_before_units_and_rests() -> None:
+    healthy = imu()
+    triads = {
+        "accelerometer": replace(healthy.accelerometer, values=healthy.gyroscope.values),
+        "gyroscope": replace(healthy.gyroscope, values=healthy.accelerometer.values),
+    }
+    for made, wanted in ((healthy, False), (replace(healthy, **triads), True)):
+        found = gnomon.check(Recording(imus={"imu0": made}))
+        assert ("triads-exchanged" in {one.code for one in found}) is wanted
+    with pytest.raises(RecordingError, match="exchanged"):
+        gnomon.calibrate_imu(Recording(imus={"imu0": replace(healthy, **triads)}))
+
+
+def test_lines_sorted_as_text_go_backwards_and_that_is_all() -> None:
+    made = imu()
+    order = np.array(sorted(range(len(made.accelerometer)), key=lambda k: f"{made.accelerometer.t_s[k]:.6g}"))
+    accelerometer, gyroscope = (
+        replace(triad, t_ns=triad.t_ns[order], values=triad.values[order])
+        for triad in (made.accelerometer, made.gyroscope)
+    )
+    jumbled = Recording(imus={"imu0": replace(made, accelerometer=accelerometer, gyroscope=gyroscope)})
+    assert [one.code for one in gnomon.check(jumbled) if one.severity == "problem"] == ["time-backward"]

@@ -66,6 +66,14 @@ def test_samples_that_fill_in_for_lost_ones_are_named() -> None:
     assert noise.gyroscope.axes[0].white_noise.value > 1.1 * N
 
 
+def test_samples_on_lines_between_others_are_named() -> None:
+    """Runs of ten make 5 % of all, which makes the white noise 10 % larger at the averaging times that show it."""
+    values = at_rest()
+    every, lost = np.arange(len(values)), np.arange(len(values)) % 200 >= 190
+    filled = np.column_stack([np.interp(every, every[~lost], column[~lost]) for column in values.T])
+    assert identified(filled)[1]["noise-repeated"] == "warning"
+
+
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_a_level_that_grows_widens_its_sigma(factor) -> None:
     values = at_rest()

@@ -47,6 +47,17 @@ def test_a_sensor_that_is_slower_than_its_recording_holds_none() -> None:
     assert not held_samples(np.repeat(moving(7)[::2], 2, axis=0)).any()
 
 
+@pytest.mark.parametrize(("step", "least"), [(0.0, 0.95), (1e-5, 0.8)])
+def test_samples_on_straight_lines_between_others_stand_in_for_lost_ones(step: float, least: float) -> None:
+    values, lost = moving(9), np.arange(6000) % 250 >= 230
+    every = np.arange(6000)
+    filled = np.column_stack([np.interp(every, every[~lost], column[~lost]) for column in values.T])
+    filled = np.rint(filled / step) * step if step else filled
+    held = held_samples(filled)
+    assert held[lost].mean() > least
+    assert not held[~lost].any()
+
+
 def test_where_there_are_some_two_may_be_neighbours() -> None:
     values = moving(5)
     values[[500, 1000, 1001, 2500, 2502], [0, 1, 0, 2, 2]] = [20.0, -20.0, 15.0, 12.0, -9.0]

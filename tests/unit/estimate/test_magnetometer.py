@@ -239,6 +239,18 @@ def alone(values, rate_hz=50.0):
     return Recording(imus={"imu0": ImuSamples(accelerometer=nothing, gyroscope=nothing, magnetometer=mag)})
 
 
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_cap_of_the_sphere_met_now_and_then_fails_in_words(seed) -> None:
+    recording = simulate_magnetometer(FieldScenario(accelerometer=False, rests=8, inhomogeneity=0.2), seed)[0]
+    imu = recording.imus["imu0"]
+    away = imu.magnetometer.values - imu.magnetometer.values.mean(axis=0)
+    near = away[:, 2] > 0.8 * np.linalg.norm(away, axis=1)
+    cap = replace(imu.magnetometer, t_ns=imu.magnetometer.t_ns[near], values=imu.magnetometer.values[near])
+    calibration = calibrate_magnetometer(Recording(imus={"imu0": replace(imu, magnetometer=cap)}), IN_UT).calibration
+    assert calibration.verdict == "fail"
+    assert "not-observable" in {one.code for one in calibration.assessment.findings}
+
+
 def test_what_cannot_be_calibrated_is_refused_in_words() -> None:
     still = simulate_magnetometer(FieldScenario(motion="still", accelerometer=False), 1)[0]
     flat = simulate_magnetometer(FieldScenario(motion="one-axis", accelerometer=False), 1)[0]

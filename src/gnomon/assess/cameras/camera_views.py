@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ def without_copies(recording: Recording, *, alike_px: float = 0.0) -> tuple[Reco
     alike_px : how far the corners of a copy may lie from those of an earlier view, root mean square [px]
     """
     cameras: dict[str, CameraFrames] = {}
-    findings: list[Finding] = []
+    findings: list[Finding] = _shared_views(recording.cameras)
     for name, frames in recording.cameras.items():
         copies, views = _copies(frames, alike_px)
         cameras[name] = frames
@@ -45,6 +46,17 @@ def without_copies(recording: Recording, *, alike_px: float = 0.0) -> tuple[Reco
                 if of
             ]
     return (replace(recording, cameras=cameras), tuple(findings)) if findings else (recording, ())
+
+
+def _shared_views(cameras: Mapping[str, CameraFrames]) -> list[Finding]:
+    """Return which cameras have their corners, to the last digit, from the same images."""
+    begins = {name: np.unique(frames.frame, return_index=True)[1] for name, frames in cameras.items()}
+    first = {name: {*map(tuple, cameras[name].pixels[at].tolist())} for name, at in begins.items()}
+    return [
+        make_finding("views-copied/cameras", name=name, other=other, count=len(first[name] & first[other]))
+        for name, other in combinations(cameras, 2)
+        if len(first[name] & first[other]) > _FEW * min(len(first[name]), len(first[other]))
+    ]
 
 
 def _copies(frames: CameraFrames, alike_px: float) -> tuple[dict[int, tuple[int, float]], int]:

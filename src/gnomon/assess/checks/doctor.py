@@ -13,7 +13,7 @@ from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
 from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
-from .signals import axis_extremes, check_signal, check_stamps, check_vibration
+from .signals import axis_extremes, check_exchanged, check_signal, check_stamps, check_vibration
 from .temperature_checks import check_thermometers
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
@@ -264,6 +264,8 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
             make_finding("samples-missing/imu", name=name, accelerometer=len(accelerometer), gyroscope=len(gyroscope))
         ]
     both = len(gyroscope) > 1
+    if both and (exchanged := check_exchanged(accelerometer, gyroscope, name)):
+        return exchanged
     labels = [f"{name} {quantity}" for quantity in ("accelerometer", "gyroscope")]
     looks: list[Callable[[], list[Finding]]] = []
     if not both:
@@ -280,9 +282,11 @@ def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Findin
             lambda: look_or_postpone(lambda: check_vibration(accelerometer, gyroscope, name)),
             lambda: check_lost_samples(gyroscope, labels[1]),
         ]
-    timed = all(np.isfinite(triad.rate_hz) for triad in (accelerometer, gyroscope) if len(triad) > 1)
+    triads = [triad for triad in (accelerometer, gyroscope) if len(triad) > 1]
+    timed = all(np.isfinite(triad.rate_hz) for triad in triads)
     if timed and not np.equal(*axis_extremes(accelerometer.values)).all():
-        looks += [lambda: look_or_postpone(lambda: check_triad_clocks(imu, name))] * both
+        rising = all((np.diff(triad.t_ns) >= 0).all() for triad in triads)
+        looks += [lambda: look_or_postpone(lambda: check_triad_clocks(imu, name))] * (both and rising)
         looks += [lambda: check_protocol(imu, name, find_rests(imu))]
     return [finding for look in tell_parts("checking the recording", looks, len(looks)) for finding in look()]
 

@@ -10,7 +10,7 @@ from ...recording import Floats, ImuSamples, TriadSamples, measurable_numbers
 from ...results.result import StaticIntervals
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 from .protocol import looks_like, range_changed_finding, why_no_gravity
-from .signals import check_signal, check_stamps, check_vibration, is_silent
+from .signals import check_exchanged, check_signal, check_stamps, check_vibration, is_silent
 
 _SLOW_HZ, _SLOWEST_HZ = 50.0, 10.0
 _SHORT_S = 5.0
@@ -45,7 +45,7 @@ def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     rate-magnitude, gyroscope-silent, imu-still, and those of the timestamps and the signals.
     """
     unusable = _unusable(name, imu)
-    if unusable:
+    if unusable or (unusable := check_exchanged(imu.accelerometer, imu.gyroscope, name)):
         return unusable
     accelerometer = _in_si(imu.accelerometer, ACCELEROMETER_UNITS_M_S2)
     gyroscope = _in_si(imu.gyroscope, GYROSCOPE_UNITS_RAD_S)

@@ -247,6 +247,8 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
     return np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64), np.asarray(density, dtype=np.float64)
 
 
+_PIECES, _FEWEST_PIECES, _IN_PIECE = 1000, 20, 20  # of samples
+_EVEN, _UNEVEN, _TURNED = 0.7, 0.9, 0.02  # scatter of lengths, of the median; of directions, of all of them
 _STUCK_S = 0.25
 _STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
 """One axis alone: how long, the others' share of their range meanwhile, and from which share it is a problem."""
@@ -444,15 +446,38 @@ def _seconds(samples: TriadSamples, index: int) -> float:
     return float(samples.t_ns[index] - samples.t_ns[0]) * 1e-9
 
 
+def check_exchanged(accelerometer: TriadSamples, gyroscope: TriadSamples, label: str) -> list[Finding]:
+    """Return a problem where the gyroscope reads one length in many directions, as of gravity, not the accelerometer.
+
+    Units do not matter. A platter makes rates of one length, too, but leaves those that the accelerometer reads alike.
+    """
+    uneven, turned = zip(*(_unevenness(triad.values) for triad in (accelerometer, gyroscope)), strict=True)
+    if not (uneven[1] < _EVEN < _UNEVEN < uneven[0] and turned[1] > _TURNED):
+        return []
+    return [make_finding("triads-exchanged", label=label)]
+
+
+def _unevenness(values: Floats) -> tuple[float, float]:
+    """Return by how much lengths of readings scatter, of their median, and directions, from none (0) to all (1)."""
+    count = min(len(values) // _IN_PIECE, _PIECES)
+    if count < _FEWEST_PIECES:
+        return 0.0, 0.0
+    means = np.add.reduceat(values, np.linspace(0, len(values), count, endpoint=False).astype(np.int64))
+    lengths = np.linalg.norm(means, axis=1, keepdims=True)
+    low, middle, high = np.quantile(lengths, [0.1, 0.5, 0.9])
+    direction = means / np.maximum(lengths, 1e-300)
+    return float(high - low) / max(float(middle), 1e-300), 1 - float(np.linalg.norm(direction.mean(axis=0)))
+
+
 def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> list[Finding]:
     """Look for samples that repeat all three axes of the one before: held by the driver, or by a link that hung."""
     same = [samples.values[1:, axis] == samples.values[:-1, axis] for axis in range(3)]
     shares = [np.count_nonzero(axis) / len(axis) for axis in same]
     by_chance = float(np.prod(shares))
     repeats = same[0] & same[1] & same[2]
-    count = int(np.count_nonzero(repeats))
+    count, held = int(np.count_nonzero(repeats)), float(held_samples(samples.values).mean())
     if not count:
-        return []
+        return [make_finding("samples-repeated", severity="info", case="held", label=label, share=held)] if held else []
     edges = np.flatnonzero(np.diff(np.concatenate([[False], repeats, [False]])))
     runs = edges[1::2] - edges[::2]
     longest, first = int(runs.max()), int(edges[::2][np.argmax(runs)])
@@ -477,7 +502,6 @@ def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> li
     # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
     together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
     slower = share > 0.2 and together > 0.5
-    held = float(held_samples(samples.values).mean())
     if not (slower or held):
         return []
     return [

@@ -51,7 +51,13 @@ def drift_findings(evidence: ImuFitSummary) -> list[Finding]:
                 )
             )
         else:
-            findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, float(np.abs(moved).max()))))
+            findings.append(
+                make_finding(
+                    f"{triad}-drift/imu",
+                    case="stepped" if evidence.fit.changes[k].steps else "",
+                    moved=_shown(triad, float(np.abs(moved).max())),
+                )
+            )
     findings += _slope_findings(evidence)
     for triad, own in zip(_TRIADS, _BIASES, strict=True):
         unseen, sigma = evidence.unseen_sigma[own], np.sqrt(np.diag(evidence.estimate.covariance)[own])

@@ -115,10 +115,11 @@ def _without_gaps(samples: TriadSamples) -> TriadSamples:
     Only then do they tell the rate. A step from one attitude to the next looks like the motion that it was.
     """
     gaps = recording_gaps(samples)
-    if not gaps.any():
-        return samples
     steps = np.diff(samples.t_ns)
-    t_ns = samples.t_ns[0] + np.concatenate([[0], np.cumsum(np.where(gaps, int(np.median(steps)), steps))])
+    usual = int(np.median(steps))
+    if not (gaps.any() and usual > 0):
+        return samples
+    t_ns = samples.t_ns[0] + np.concatenate([[0], np.cumsum(np.where(gaps, usual, steps))])
     return replace(samples, t_ns=t_ns)
 
 

@@ -12,6 +12,7 @@ _BESIDE = 3  # samples on either side of a reading
 _OFF = 10.0  # times as far from the line as they are; white noise never is
 _SAMPLES = 10_000  # that tell what is usual
 _HELD, _SLOWER, _JUMP = 0.005, 0.2, 3.0  # of the samples, more than by chance; beyond, the sensor is slower; steps
+_STRAIGHT, _LEVEL, _FEWEST_ON_LINES, _LOOKED_AT = 0.02, 0.02, 5, 20_000  # of the usual bend, and of that; how many tell
 
 _BAND_PLACES, _BAND_TIMES = 12, 3.0
 """Of a dead band: by how many places more than times those of any reading beside it; coarse steps make it twice."""
@@ -36,16 +37,37 @@ def held_samples(values: Floats) -> Booleans:
     """Mark the samples (n,) of a triad that stand in for lost ones: they repeat the one before, until all axes jump.
 
     Coarse steps repeat, too, but by chance, or at rest, where what follows is a step away. None is marked where the
-    sensor is slower than its recording.
+    sensor is slower than its recording. Others lie on lines between those that were measured, see `on_lines`.
     """
     same = values[1:] == values[:-1]
     repeats = np.concatenate([[False], same.all(axis=1)])
+    lines = on_lines(values)
+    lines &= _HELD < lines.mean() <= _SLOWER
     if not repeats.mean() - np.prod(same.mean(axis=0)) > _HELD:
-        return np.zeros(len(values), dtype=bool)
+        return lines
     others = np.append(np.flatnonzero(~repeats), len(values) - 1)
     following = values[others[np.searchsorted(others, np.arange(len(values)))]]
     repeats &= (np.abs(following - values) > _JUMP * np.nan_to_num(smallest_steps(values))).all(axis=1)
-    return repeats & (_HELD < repeats.mean() <= _SLOWER)
+    return lines | (repeats & (_HELD < repeats.mean() <= _SLOWER))
+
+
+def on_lines(values: Floats) -> Booleans:
+    """Mark samples (n,), three or more in a row, that are the mean of their neighbours in all axes, and change."""
+    marked = np.zeros(len(values), dtype=bool)
+    if len(values) < _FEWEST_ON_LINES:
+        return marked
+    inner = np.ones(len(values) - 2, dtype=bool)
+    rows = inner[2:]
+    for column in np.ascontiguousarray(values.T):
+        bend = np.abs(column[2:] - 2 * column[1:-1] + column[:-2])
+        least = _STRAIGHT * float(np.median(bend[:: len(bend) // _LOOKED_AT + 1]))
+        inner = inner & (bend <= least) & (np.abs(column[2:] - column[:-2]) > _LEVEL * least)
+        rows = inner[2:] & inner[1:-1] & inner[:-2]
+        if not rows.any():
+            return marked
+    for shift in (1, 2, 3):
+        marked[shift : shift + len(rows)] |= rows
+    return marked
 
 
 def dead_bands(values: Floats) -> tuple[Floats, Integers]:

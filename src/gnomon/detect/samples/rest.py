@@ -7,6 +7,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...results.result import Booleans
+from .repair import on_lines
 
 _WINDOW_S = 1.0
 _FEWEST = 16
@@ -33,7 +34,8 @@ class RestTable:
     gaps : number of gaps
     lost : samples that are missing in them, about
     longest_gap_s, longest_gap_at_s : how long the longest one is, and where it begins [s from the origin]
-    repeats : share of the samples that repeat the one before in all axes, and by how much it is more than by chance
+    repeats : share of the samples that repeat the one before in all axes or lie on lines between others, and by how
+        much it is more than by chance
     """
 
     t_s: Floats
@@ -81,6 +83,7 @@ class RestWatch:
     _lost: float = 0.0
     _longest: tuple[float, int] = (0.0, 0)
     _repeats: Floats = field(default_factory=lambda: np.zeros(4))
+    _on_lines: int = 0
     _window: int = 0
     _rest: Floats = field(default_factory=lambda: np.empty((0, 3)))
     _rest_t: Integers = field(default_factory=lambda: np.empty(0, np.int64))
@@ -96,6 +99,7 @@ class RestWatch:
         values = np.concatenate([self._previous, block.values])
         same = values[1:] == values[:-1]
         self._repeats += [*same.sum(axis=0), np.count_nonzero(same[:, 0] & same[:, 1] & same[:, 2])]
+        self._on_lines += int(np.count_nonzero(on_lines(block.values)))
         self._previous = block.values[-1:]
         self._windows(block)
         self._keep(block)
@@ -167,6 +171,7 @@ class RestWatch:
         """Return what was seen."""
         rows = np.concatenate([np.empty((0, 19)), *self._rows])
         *axes, repeats = (self._repeats / max(self.samples - 1, 1)).tolist()
+        filled = self._on_lines / max(self.samples, 1)
         span = 0.0 if self._last is None else float(self._last - self._first)
         steps = self.samples - 1 - self._gaps
         duration = span - self._gap_ns
@@ -185,7 +190,7 @@ class RestWatch:
             lost=round(self._lost),
             longest_gap_s=self._longest[0] * 1e-9,
             longest_gap_at_s=self._longest[1] * 1e-9,
-            repeats=(repeats, repeats - float(np.prod(axes))),
+            repeats=(repeats + filled, repeats + filled - float(np.prod(axes))),
         )
 
 

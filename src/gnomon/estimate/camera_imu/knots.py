@@ -36,7 +36,7 @@ def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -
     signals : timestamps (n,) [s] and readings (n, 3) of each triad
     rate_hz : sample rate that supports the knots; that of the slowest signal where it is not given
     """
-    rates = [1 / float(np.median(np.diff(t_s))) for t_s, _ in signals]
+    rates = [1 / float(np.median(steps[steps > 0])) for steps in (np.diff(t_s) for t_s, _ in signals)]
     highest = max(motion_limit_hz(t_s, values, rate) for (t_s, values), rate in zip(signals, rates, strict=True))
     rate = rate_hz or min(rates)  # the slower triad must not be followed into its noise
     wanted = max(KNOTS_PER_PERIOD * highest, min(DEFAULT_PER_S, _PREFERRED_SHARE * rate))

@@ -53,6 +53,7 @@ _ROUGH_STEP = 0.5  # of a sigma; enough to judge residuals
 GATE_SIGMA = 5.0
 _REWEIGHTINGS = 8
 _SUSPICIOUS = 3.5  # times the median size; the largest of forty is 2.3 times as large
+_MOSTLY_AHEAD = 0.9  # share of rotations that lead to the right half of all directions from a good start
 _FEWEST_INTERVALS = 9
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
 
@@ -167,9 +168,12 @@ def fit_multiposition(
     """
     start = start_state(data)
     task = _fit_problem(data, start, None, known, g_sensitivity=g_sensitivity)
+    state = _with_zeros(start, task)
+    ahead = np.einsum("ki,ki->k", state.u[1:], linearize_model(data, state).propagated) > 0
+    data = replace(data, linked=data.linked & (ahead | (np.mean(ahead) < _MOSTLY_AHEAD)))  # behind, none shows
+    task = replace(task, data=data)
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
-    state = _with_zeros(start, task)
     point = _gauss_newton(task, state, linearize_model(data, state), whitening, _ROUGH_STEP)
     data = with_sampling_error(data, point.state)
     task = replace(task, data=data)

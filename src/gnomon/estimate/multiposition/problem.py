@@ -34,6 +34,7 @@ _ALONG = 0.85  # cosine between what gravity did and what the gyroscope showed, 
 _NEAR, _REVERSED = np.cos(np.radians([25.0, 155.0]))  # raw scales and axes are off by some per cent
 _FEWEST, _MOSTLY = 2, 0.9  # rotations on either side that only one way explains; share that it must explain
 _FACTOR, _FACTORS = 1.6, 25  # ranges differ by two; shares of a rotation that are tried
+_WORSE = 2.0  # times that gravity scatters more, from which on reversed axes do not explain it
 _ACROSS = 0.7  # cosine to where a turn began, in its middle
 _FINE = np.linspace(0.8, 1.25, 10)
 
@@ -339,12 +340,24 @@ def find_axes_change(problem: MultiPositionProblem) -> AxesChange | None:
     if len(reverse) == 1 and len(off) <= 1 + (1 - _MOSTLY) * len(agree):
         row = int(reverse[0])
         unseen = float(predicted[row] @ turns.u[row]) > _NEAR and turns.passes_through(row)
-        return None if unseen else AxesChange(row=row, triad="accelerometer", after=-np.eye(3))
+        read = problem.data.accelerometer * problem.accelerometer.spread + problem.accelerometer.centre
+        if unseen or not _fits_reversed(read, row):
+            return None
+        return AxesChange(row=row, triad="accelerometer", after=-np.eye(3))
     if len(off) < _FEWEST:
         return None
     ways = [(way, float(np.median(factors[way][alike[way]]))) for way in range(len(_SIGNED)) if alike[way].any()]
     ways += [(usual, factor) for factor in np.quantile(own, np.linspace(0, 1, _FACTORS)).tolist()]
     return _change_between(turns, ways, linked)
+
+
+def _fits_reversed(read: Floats, row: int) -> bool:
+    """Return whether means at rest fit with those behind a rotation reversed, bias and all; else files were joined."""
+    errors: list[float] = []
+    for signed in (read, np.concatenate([read[: row + 1], -read[row + 1 :]])):
+        fit = fit_magnitude(signed, 1.0)
+        errors.append(float(np.std(np.linalg.norm((signed - fit.bias) @ fit.correction.T, axis=1))))
+    return errors[1] < _WORSE * errors[0]
 
 
 def _change_between(turns: _Turns, ways: list[tuple[int, float]], linked: Booleans) -> AxesChange | None:

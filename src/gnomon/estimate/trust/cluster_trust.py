@@ -178,10 +178,9 @@ class PartComparison:
 
     def instability(self, path: str, estimated: Booleans) -> Instability:
         """Compare a bias between halves and thirds."""
-        found = part_differences(
-            self.sums, self.jacobian, self.found, self._consecutive(estimated & (self.paths == path))
-        )
-        if not len(found):
+        splits = self._consecutive(estimated & (self.paths == path))
+        found = part_differences(self.sums, self.jacobian, self.found, splits) if splits else ()
+        if not found:
             return Instability(block=path, size=0.0, sigma=0.0, where="", proven=False)
         z = np.abs(found.value) / found.ordinary_sigma
         worst = int(np.argmax(z))
