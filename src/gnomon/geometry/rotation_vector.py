@@ -51,6 +51,12 @@ def invert_matrix(matrix: Floats) -> Floats:
     return np.linalg.inv(matrix).astype(np.float64, copy=False)
 
 
+def kronecker_product(a: Floats, b: Floats) -> Floats:
+    """Return what `np.kron` does of two matrices, which takes many times as long for small ones."""
+    blocks = a[:, None, :, None] * b[:, None, :]
+    return blocks.reshape(len(a) * len(b), -1)
+
+
 def nearest_rotation(matrix: Floats) -> Floats:
     """Return the rotations (..., 3, 3), det +1, nearest to matrices in the Frobenius norm (Kabsch)."""
     left, _, right = np.linalg.svd(matrix)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotation_vector import acceleration_by_place
+from ..geometry.rotation_vector import acceleration_by_place, kronecker_product
 
 Floats = NDArray[np.float64]
 
@@ -91,13 +91,13 @@ def frame_turn(sensitivity: Floats, rotation: Floats, frame: str) -> Floats:
     rotation : (3, 3), from `frame_rotation`
     """
     entries = [3 * i + j for i, j in fixed_entries(frame)]
-    turn = np.kron(np.eye(3), rotation)  # dS Q' on the nine entries in row order
+    turn = kronecker_product(np.eye(3), rotation)  # dS Q' on the nine entries in row order
     return np.asarray(-np.linalg.solve(_tilt(sensitivity @ rotation.T)[entries], turn[entries]), dtype=np.float64)
 
 
 def _tilt(matrix: Floats) -> Floats:
     """Return the derivative (9, 3) of the entries of matrix @ Exp(delta), in row order."""
-    return np.stack([(matrix @ generator).ravel() for generator in _GENERATORS], axis=1)
+    return np.ascontiguousarray((matrix @ _GENERATORS).reshape(3, 9).T)
 
 
 def rotation_jacobian(matrices: list[Floats], rotation: Floats, frame: str) -> Floats:
@@ -111,7 +111,7 @@ def rotation_jacobian(matrices: list[Floats], rotation: Floats, frame: str) -> F
     """
     starts = np.concatenate([[0], np.cumsum([m.size for m in matrices])])
     jacobian = np.eye(starts[-1])
-    turn = np.kron(np.eye(3), rotation)
+    turn = kronecker_product(np.eye(3), rotation)
     delta = frame_turn(matrices[0], rotation, frame)
     for matrix, start in zip(matrices, starts, strict=False):
         if matrix.ndim == 2:

@@ -5,6 +5,7 @@ import numpy as np
 from ...detect.samples.range_change import saturated_samples
 from ...detect.samples.repair import dead_bands, held_samples, isolated_readings
 from ...detect.samples.repeats import repeated_stretches
+from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array
@@ -291,7 +292,7 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
         which = np.flatnonzero(still) if still.any() else sorted({axis % 3 for k in copied for axis in (k, k - 1)})
         axes = " and ".join("xyz"[axis] for axis in which)
         findings.append(make_finding("axis-constant", label=label, axes=axes, case="" if still.any() else "copied"))
-    turns = check_turns(samples, label)
+    turns = look_or_postpone(lambda: check_turns(samples, label))
     findings += turns
     if not turns and ACCELEROMETER_UNITS_M_S2.get(samples.unit):
         values = samples.values[:_NOISE_SAMPLES]
@@ -302,7 +303,7 @@ def check_signal(samples: TriadSamples, label: str, beside: TriadSamples | None 
     if all(finding.code != "dead-band" for finding in stuck):
         findings += dead_band_finding(*dead_bands(samples.values), label, samples.unit)
     findings += stuck
-    findings += check_repeats(samples, label)
+    findings += look_or_postpone(lambda: check_repeats(samples, label))
     return findings
 
 

@@ -68,6 +68,7 @@ class Statement:
     ----------
     name : of the calibration
     quantities : path -> ComparedQuantity
+    jacobian : (n, m) derivative of all their scalars by those of the sensors
     covariance : (n, n) of all their scalars; None where it is not stated; nan where a part is not
     by_gravity : (n,) derivative of the scalars by the magnitude of gravity times its sigma, where it is part of the
         covariance, else zero
@@ -75,6 +76,7 @@ class Statement:
 
     name: str
     quantities: dict[str, ComparedQuantity]
+    jacobian: Floats
     covariance: Floats | None
     by_gravity: Floats
 
@@ -131,6 +133,7 @@ def statement_of(candidate: ComparisonCandidate, references: frozenset[str] = fr
     return Statement(
         name=candidate.name,
         quantities=quantities,
+        jacobian=frozen_array(jacobian),
         covariance=None if covariance is None else frozen_array(covariance),
         by_gravity=frozen_array(pull),
     )

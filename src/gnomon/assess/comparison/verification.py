@@ -15,7 +15,7 @@ l / (1 - l).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from math import exp, floor, lgamma, log, log10, pi, sqrt
 from statistics import NormalDist
 from typing import Literal
@@ -146,17 +146,16 @@ def _by_certainty(blocks: Sequence[VerifiedBlock], *states: BlockState) -> tuple
 
 @value_class
 class _Movement:
-    """Differences (n,) of all blocks, their covariance, and where each block stands."""
+    """Differences (n,) of all blocks, the inverse of their covariance, and where each block stands."""
 
     values: Floats
-    covariance: Floats
+    weight: Floats
     rows: Mapping[str, slice]
 
     def freed(self, paths: Sequence[str]) -> tuple[Floats, Floats, float]:
         """Return by how much blocks moved if all others hold, the covariance of that, and by how much T grows."""
         at = np.concatenate([np.arange(self.rows[path].start, self.rows[path].stop) for path in paths])
-        weight = np.linalg.inv(self.covariance)
-        information, pull = weight[np.ix_(at, at)], weight[at] @ self.values
+        information, pull = self.weight[np.ix_(at, at)], self.weight[at] @ self.values
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         moved = covariance @ pull
         return moved, covariance, float(moved @ pull)
@@ -184,14 +183,16 @@ def verify_candidate(
     if fresh.verdict == "fail":
         return _untold(use)
     given = [frozen, fresh] if wide is None else [frozen, fresh, wide]
-    statements = [statement_of(one) for one in at_common_origins([in_common_frame(one) for one in given])]
-    known, found = statements[:2]
+    given = at_common_origins([in_common_frame(one) for one in given])
+    known, found = (statement_of(one) for one in given[:2])
     paths = [
         path
         for path, one in found.quantities.items()
         if _comparable(known, one) and not (incomplete and one.kind == "lens")
     ]
-    helped = None if wide is None else statements[2]
+    helped = None
+    if wide is not None and (prior := given[2].covariance) is not None:
+        helped = replace(known, covariance=known.jacobian @ prior.matrix @ known.jacobian.T)
     movement = _movement(known, found, paths, helped, same_gravity=shares_gravity(frozen, fresh))
     certain = _certain(movement)
     blocks: list[VerifiedBlock] = []
@@ -256,7 +257,8 @@ def _movement(
         size = 1.0 if scale is None else float(np.cbrt(abs(np.prod(scale.values))))
         at = np.arange(rows[path].start, rows[path].stop)
         covariance[at, at] += 2 * (usual * size) ** 2
-    return _Movement(values=values, covariance=covariance + 1e-12 * np.diag(np.diag(covariance)), rows=rows)
+    weight = np.asarray(np.linalg.inv(covariance + 1e-12 * np.diag(np.diag(covariance))), dtype=np.float64)
+    return _Movement(values=values, weight=weight, rows=rows)
 
 
 def _part(statement: Statement, paths: Sequence[str]) -> Floats:

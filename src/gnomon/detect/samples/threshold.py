@@ -13,6 +13,7 @@ from ...errors import InitialisationError
 from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...estimate.multiposition.tedaldi import MagnitudeFit, fit_magnitude
+from ...estimate.trust.changes import estimates_are_judged
 from ...frozen import value_class
 from ...progress import tell_parts
 from ...recording import Floats, Integers, TriadSamples
@@ -27,6 +28,7 @@ _PIECES = 5
 _LONGER, _SHORTER = (10, 20, 40), (2, 1)
 _FEWEST_DIFFERENCES = 20
 MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
+_FEW = (10.0, 300.0)  # where an estimate alone is wanted: the usual one, and one for a hand that trembles
 SHORTEST_S = 0.5
 _USUAL = 10.0  # multiplier where nothing tells which serves best
 _SHAKES = "it shakes more than the rests that are used"
@@ -219,7 +221,8 @@ def detect_rests(
         statistic[first:end] = static_statistic(accelerometer.values[first:end], min(window, end - first))
         motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
         usual = None
-    multipliers = MULTIPLIERS if multiplier is None else (multiplier,)
+    several = MULTIPLIERS if estimates_are_judged() else _FEW
+    multipliers = several if multiplier is None else (multiplier,)
     chosen, trials = choose_threshold(motion, gravity_m_s2, multipliers, usual=usual)
     if chosen.fit is None:
         chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))

@@ -228,7 +228,7 @@ def _fitted(problem: TriadProblem, theta: Floats, *, robust: bool, rough: bool) 
     used, extra = np.ones(len(problem.measured), dtype=bool), 0.0
     if robust:
         extra = extra_variance(problem, theta, used, START_VARIANCE, robust=True)
-        if len(used) <= ENOUGH:  # more are not bent by a few, and the start had as many
+        if len(used) <= ENOUGH and not rough:  # more are not bent by a few, nor is a start that is known from elsewhere
             theta = irls(problem, theta, extra).theta
             extra = extra_variance(problem, theta, used, extra, robust=True)
         used = gate_outliers(problem, theta, used, extra, known=extra == 0)

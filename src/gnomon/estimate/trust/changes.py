@@ -70,9 +70,9 @@ _ALONE: ContextVar[tuple[list[Search], Calibration | None] | None] = ContextVar(
 def estimates_alone(start: Calibration | None = None) -> Generator[list[Search]]:
     """Leave out within this context what judges an estimate and changes none of its numbers.
 
-    That is whether other lenses, a prior or parts of the recording agree, which turns would go unseen, and what is left
-    out to be predicted. Searches for what is wrong with the recording, such as parameters that changed during it, are
-    postponed: they are in the list that is given.
+    That is whether other lenses, a prior or parts of the recording agree, which turns would go unseen, what is left out
+    to be predicted, and most thresholds of rests. Searches for what is wrong with the recording, such as parameters
+    that changed during it, are postponed: they are in the list that is given.
 
     Parameters
     ----------
