@@ -121,9 +121,12 @@ def test_the_prior_that_helps_does_not_pull_the_size_of_a_change_in_sign():
 
 def test_what_is_estimated_alone_is_what_a_calibration_publishes():
     _, recording = sensor(4)
+    one = gnomon.ImuOptions(multiplier=30.0)
     with estimates_alone() as postponed:
-        alone = gnomon.calibrate_imu(recording).calibration
-    whole = gnomon.calibrate_imu(recording).calibration
+        alone, among_few = (gnomon.calibrate_imu(recording, options).calibration for options in (one, None))
+    whole, among_all = (gnomon.calibrate_imu(recording, options).calibration for options in (one, None))
+    for few, every in zip(of_scalars(among_few), of_scalars(among_all), strict=True):
+        np.testing.assert_allclose(few, every, rtol=1e-2, atol=2e-3)  # of thresholds less than what noise makes of them
     np.testing.assert_array_equal(alone.uncertainty.matrix, whole.uncertainty.matrix)
     np.testing.assert_array_equal(alone.imus["imu0"].gyroscope.sensitivity, whole.imus["imu0"].gyroscope.sensitivity)
     assert postponed
@@ -275,16 +278,43 @@ def test_a_verification_starts_from_the_calibration_and_ends_where_one_without_d
     agree(gnomon.verify(wrong, second), gnomon.verify(wrong, gnomon.calibrate_magnetometer(second)), within=1.0)
 
 
-@pytest.mark.long
-def test_a_rig_is_verified_from_its_calibration_as_without():
+@cache
+def rig():
+    """Return a calibration of camera and IMU and a fresh recording of them."""
     scenario = CameraImuScenario(duration_s=30.0, sensor_seed=3)
     first, second = (simulate_camera_imu(scenario, seed) for seed in (3, 903))
-    calibration = gnomon.calibrate_camera_imu(first.recording, first.target).calibration
+    return gnomon.calibrate_camera_imu(first.recording, first.target).calibration, second
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("jump_s", "state"), [(0.0005, "holds"), (0.003, "cannot tell")])
+def test_a_clock_that_jumps_in_the_last_tenth_is_told(jump_s, state):
+    calibration, second = rig()
+    frames = second.recording.cameras["cam0"]
+    last = frames.t_ns >= np.quantile(frames.t_ns, 0.9)
+    jumped = replace(frames, t_ns=frames.t_ns + np.where(last, round(1e9 * jump_s), 0))
+    recording = replace(second.recording, cameras={"cam0": jumped})
+    found = gnomon.verify(calibration, recording, second.target)
+    assert (found.state, found.moved) == (state, ())
+    told = " ".join(str(finding) for finding in found.findings)
+    assert ("The time shift of cam0 is no constant" if state == "cannot tell" else "cam0.time_shift_cam_imu") in told
+
+
+@pytest.mark.long
+def test_a_rig_is_verified_from_its_calibration_as_without():
+    calibration, second = rig()
     fresh = gnomon.calibrate_camera_imu(second.recording, second.target)
     agree(gnomon.verify(calibration, second.recording, second.target), gnomon.verify(calibration, fresh))
     camera = calibration.cameras["cam0"]
     wrong = replace(calibration, cameras={"cam0": replace(camera, time_shift_cam_imu=camera.time_shift_cam_imu + 0.5)})
     agree(gnomon.verify(wrong, second.recording, second.target), gnomon.verify(wrong, fresh))  # too far to start there
+
+
+def of_scalars(calibration):
+    """Return what an IMU's calibration publishes: values and sigmas, both by what they are."""
+    imu = calibration.imus["imu0"]
+    sigma = np.sqrt(np.diag(calibration.uncertainty.matrix))
+    return imu.accelerometer.sensitivity, imu.gyroscope.sensitivity, imu.gyroscope.bias, sigma
 
 
 def agree(one, other, within=0.2):

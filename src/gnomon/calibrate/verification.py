@@ -28,6 +28,8 @@ from ..results.result import Result
 _WIDE = {"sensitivity": 0.05, "g_sensitivity": 3e-3}
 """Sigmas of the prior that lets a short recording be estimated, whose share is taken out again: relative to the scale;
 and [rad/s per m/s^2], relative to it, too."""
+_NOTICED = frozenset({"time-shift-varies", "clock-jump", "board-moved", "frames-left-out", "model-incomplete"})
+"""What a fresh recording shows of itself and is told: parts of it that differ, or that are not judged."""
 
 
 def verify(
@@ -107,9 +109,8 @@ def _held_against(
     frozen: ComparisonCandidate, fresh: Calibration, wide: Calibration | None, use: Use | None
 ) -> Verification:
     helped = None if wide is None else ComparisonCandidate.of("the prior", wide)
-    incomplete = any(finding.code == "model-incomplete" for finding in fresh.assessment.findings)
-    found = ComparisonCandidate.of("the recording", fresh)
-    return verify_candidate(frozen, found, use, helped, incomplete=incomplete)
+    noticed = [finding for finding in fresh.assessment.findings if finding.code in _NOTICED]
+    return verify_candidate(frozen, ComparisonCandidate.of("the recording", fresh), use, helped, noticed)
 
 
 def _loaded(source: Result | str | PathLike[str] | Sequence[str | PathLike[str]]) -> Calibration | ForeignCalibration:

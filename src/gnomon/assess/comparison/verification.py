@@ -166,8 +166,7 @@ def verify_candidate(
     fresh: ComparisonCandidate,
     use: Use | None = None,
     wide: ComparisonCandidate | None = None,
-    *,
-    incomplete: bool = False,
+    noticed: Sequence[Finding] = (),
 ) -> Verification:
     """Tell which blocks of a calibration a fresh estimate contradicts.
 
@@ -177,14 +176,15 @@ def verify_candidate(
     fresh : the estimate from a fresh recording
     use : what the calibration is for
     wide : the prior by which the fresh estimate was helped; its values are those of `frozen`
-    incomplete : whether the fresh estimate's model leaves errors of the corners unexplained, which a lens takes up
-        otherwise in each recording, beyond its sigmas; lenses are then not judged
+    noticed : what the fresh recording shows of itself: where its model leaves errors of the corners unexplained, a lens
+        takes them up otherwise in each recording, beyond its sigmas, and is not judged; where it warns, nothing holds
     """
     if fresh.verdict == "fail":
         return _untold(use)
     given = [frozen, fresh] if wide is None else [frozen, fresh, wide]
     given = at_common_origins([in_common_frame(one) for one in given])
     known, found = (statement_of(one) for one in given[:2])
+    incomplete = any(finding.code == "model-incomplete" for finding in noticed)
     paths = [
         path
         for path, one in found.quantities.items()
@@ -217,7 +217,7 @@ def verify_candidate(
     notes = [_INCOMPLETE] if incomplete and frozen.cameras else []
     if frozen.covariance is None:
         notes.append(_EXACT.format(name=frozen.name))
-    return _judged(tuple(blocks), use, tuple(notes))
+    return _judged(tuple(blocks), use, tuple(notes), noticed)
 
 
 def _comparable(known: Statement, one: ComparedQuantity) -> bool:
@@ -395,9 +395,13 @@ def movement_words(block: VerifiedBlock) -> tuple[str, str, str, str, str]:
     return block.words, moved, needed, f"{block.z:.1f}", block.state
 
 
-def _judged(blocks: tuple[VerifiedBlock, ...], use: Use | None, notes: tuple[str, ...]) -> Verification:
-    findings = list(_findings(blocks, use))
-    told = [block for block in blocks if block.state != "cannot tell"]
+def _judged(
+    blocks: tuple[VerifiedBlock, ...], use: Use | None, notes: tuple[str, ...], noticed: Sequence[Finding]
+) -> Verification:
+    findings = [*_findings(blocks, use), *noticed]
+    told = any(block.state != "cannot tell" for block in blocks) and not any(
+        finding.severity in ("warning", "problem") for finding in noticed
+    )
     name = "general use" if use is None else use.name
     state: State = "moved" if any(block.state == "moved" for block in blocks) else "holds" if told else "cannot tell"
     moved, within = (_by_certainty(blocks, one) for one in ("moved", "moved, within need"))
