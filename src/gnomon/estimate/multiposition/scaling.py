@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import kronecker_product
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, frozen_array
 from ...results.result import Booleans
@@ -254,7 +253,7 @@ def sensor_scalars(
     for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
         jacobian[3 * i + j, S_.start + column] = da[i] / gravity_m_s2
     jacobian[9:12, B_] = np.diag(da)
-    jacobian[12:21, CG_] = -kronecker_product(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
+    jacobian[12:21, CG_] = -np.kron(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
     jacobian[21:24, BG_] = np.diag(dg)
-    jacobian[24:33, G_] = kronecker_product(np.diag(dg), np.eye(3)) / gravity_m_s2
+    jacobian[24:33, G_] = np.kron(np.diag(dg), np.eye(3)) / gravity_m_s2
     return values, jacobian
