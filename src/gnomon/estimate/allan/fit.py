@@ -234,6 +234,10 @@ class AllanFit:
         # what noise of another slope could make as well was not found
         sure = found.kinds[:count] & (2 * theta > change) & np.array(strong) & ~bounded
         bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(count)])
+        for i in np.flatnonzero(_SLOWEST & ~found.kinds[:count]).tolist():  # it may be there, and the others other ones
+            held = np.where(np.arange(len(COLUMNS)) == i, bound[i] / 2, 0.0)
+            other = self._solved(straight, found.kinds, misfit, held)
+            sigma = np.hypot(sigma, (other.theta - found.theta)[:count])
         bound += 2 * change
         spread = float(np.sqrt(self.slope_variance[:count] @ np.where(sure, theta, bound)))
         return AxisFit(
