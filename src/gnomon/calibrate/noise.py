@@ -341,7 +341,9 @@ def _axis_noise(fit: AxisFit, curve: AllanVariance) -> AxisNoise:
         scale = rate_hz ** _POWERS[kind]
         if fit.theta[i] > 0:
             value = sqrt(fit.theta[i])
-            found[kind] = Coefficient(value=scale * value, sigma=scale * float(fit.sigma[i]) / (2 * value))
+            below = value - sqrt(max(fit.theta[i] - 2 * fit.sigma[i], 0.0))  # a root errs by more below than above
+            sigma = max(float(fit.sigma[i]) / value, below) / 2
+            found[kind] = Coefficient(value=scale * value, sigma=scale * sigma)
         else:
             found[kind] = Coefficient(value=0.0, bound=scale * sqrt(fit.bound[i]))
     slope, sigma = abs(fit.slope) * rate_hz, fit.slope_sigma * rate_hz
