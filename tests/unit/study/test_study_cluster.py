@@ -93,8 +93,9 @@ def test_nobody_at_the_address_is_one_error_within_seconds(dask, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_killed_worker_loses_nothing_and_nothing_is_there_twice(local_cluster, tmp_path):
+def test_a_killed_worker_loses_nothing_and_nothing_is_there_twice(local_cluster, monkeypatch, tmp_path):
     """One worker is killed midway; then errors of runs and of versions; at last the whole cluster is killed."""
+    monkeypatch.setattr(cluster, "_PARCELS", 12)  # of two runs each
     counted = []
 
     def count(step):

@@ -45,7 +45,7 @@ def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     rate-magnitude, gyroscope-silent, imu-still, and those of the timestamps and the signals.
     """
     unusable = _unusable(name, imu)
-    if unusable or (unusable := check_exchanged(imu.accelerometer, imu.gyroscope, name)):
+    if unusable:
         return unusable
     accelerometer = _in_si(imu.accelerometer, ACCELEROMETER_UNITS_M_S2)
     gyroscope = _in_si(imu.gyroscope, GYROSCOPE_UNITS_RAD_S)
@@ -60,8 +60,13 @@ def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     findings = [_retold(finding) for finding in findings]
     if any(finding.code in {"time-constant", "signal-constant"} for finding in findings):
         return findings
+    gravity = _gravity(name, accelerometer)
+    if gravity[0].code == "gravity-magnitude" and gravity[0].severity != "good":
+        exchanged = check_exchanged(accelerometer, gyroscope, name)
+        if exchanged:
+            return exchanged
     shaken = check_vibration(accelerometer, gyroscope, name)
-    return [*findings, *_rate(name, gyroscope), *_gravity(name, accelerometer), *_motion(name, imu), *shaken]
+    return [*findings, *_rate(name, gyroscope), *gravity, *_motion(name, imu), *shaken]
 
 
 def _unusable(name: str, imu: ImuSamples) -> list[Finding]:

@@ -250,6 +250,7 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
 
 _PIECES, _FEWEST_PIECES, _IN_PIECE = 1000, 20, 20  # of samples
 _EVEN, _UNEVEN, _TURNED = 0.7, 0.9, 0.02  # scatter of lengths, of the median; of directions, of all of them
+_MORE = 1.5  # kurtosis of gravity over that of rates: 0.02 to 0.2 with rests, 1 to 1.2 where there are none
 _STUCK_S = 0.25
 _STUCK_AXIS_S, _OTHERS_MOVE, _MUCH_STUCK = 1.0, 0.3, 0.05
 """One axis alone: how long, the others' share of their range meanwhile, and from which share it is a problem."""
@@ -451,23 +452,27 @@ def check_exchanged(accelerometer: TriadSamples, gyroscope: TriadSamples, label:
     """Return a problem where the gyroscope reads one length in many directions, as of gravity, not the accelerometer.
 
     Units do not matter. A platter makes rates of one length, too, but leaves those that the accelerometer reads alike.
+    Raw counts with large offsets may have any lengths, but are at rest most often, as a gyroscope's readings are.
     """
-    uneven, turned = zip(*(_unevenness(triad.values) for triad in (accelerometer, gyroscope)), strict=True)
-    if not (uneven[1] < _EVEN < _UNEVEN < uneven[0] and turned[1] > _TURNED):
+    uneven, turned, peaked = zip(*(_unevenness(triad.values) for triad in (accelerometer, gyroscope)), strict=True)
+    if not (uneven[1] < _EVEN < _UNEVEN < uneven[0] and turned[1] > _TURNED and peaked[1] < _MORE * peaked[0]):
         return []
     return [make_finding("triads-exchanged", label=label)]
 
 
-def _unevenness(values: Floats) -> tuple[float, float]:
-    """Return by how much lengths of readings scatter, of their median, and directions, from none (0) to all (1)."""
+def _unevenness(values: Floats) -> tuple[float, float, float]:
+    """Return by how much lengths of readings scatter, of their median, directions, from 0 to 1, and the kurtosis."""
     count = min(len(values) // _IN_PIECE, _PIECES)
     if count < _FEWEST_PIECES:
-        return 0.0, 0.0
-    means = np.add.reduceat(values, np.linspace(0, len(values), count, endpoint=False).astype(np.int64))
+        return 0.0, 0.0, 0.0
+    size = len(values) // count
+    means = values[: size * count].reshape(count, size, 3).mean(axis=1)
     lengths = np.linalg.norm(means, axis=1, keepdims=True)
     low, middle, high = np.quantile(lengths, [0.1, 0.5, 0.9])
     direction = means / np.maximum(lengths, 1e-300)
-    return float(high - low) / max(float(middle), 1e-300), 1 - float(np.linalg.norm(direction.mean(axis=0)))
+    off = means - means.mean(axis=0)
+    kurtosis = float(np.mean((off / np.maximum(off.std(axis=0), 1e-300)) ** 4))
+    return float(high - low) / max(float(middle), 1e-300), 1 - float(np.linalg.norm(direction.mean(axis=0))), kurtosis
 
 
 def _stuck(samples: TriadSamples, label: str, beside: TriadSamples | None) -> list[Finding]:

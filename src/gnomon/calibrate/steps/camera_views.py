@@ -75,6 +75,8 @@ def first_rig_of_views(views: RigViews, lenses: Mapping[str, Camera], most: int 
     ------
     InitialisationError
         If cameras share too few views.
+    SolveError
+        If the lenses do not suit the views at all.
     """
     views = number_views_alike(views, lenses, _numberings(views.target))
     rig = first_rig(views, {}, lenses)

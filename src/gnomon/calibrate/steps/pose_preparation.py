@@ -116,8 +116,7 @@ def _without_gaps(samples: TriadSamples) -> TriadSamples:
     """
     gaps = recording_gaps(samples)
     steps = np.diff(samples.t_ns)
-    usual = int(np.median(steps))
-    if not (gaps.any() and usual > 0):
+    if not gaps.any() or not (usual := int(np.median(steps))) > 0:
         return samples
     t_ns = samples.t_ns[0] + np.concatenate([[0], np.cumsum(np.where(gaps, usual, steps))])
     return replace(samples, t_ns=t_ns)

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...errors import SolveError
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import Floats, Integers
@@ -30,6 +31,7 @@ _MIDDLE_SIGMA = 0.5  # of the principal point, over the width of the image
 _NEGLIGIBLE = 0.004
 """Nats per parameter: the last of some 125 alike views adds so much."""
 
+OTHER_BOARD = "Check that the target file describes the board."
 _FEWEST = 20
 """Views that are taken, if there are so many, however little they add."""
 
@@ -225,9 +227,17 @@ def chosen_views(views: RigViews, at: RigSolution | CameraRig, most: int | None 
     views : to choose from
     at : a solution of these views, or a rig with their poses
     most : number of views; until further ones add next to nothing where it is not given
+
+    Raises
+    ------
+    SolveError
+        If the rig does not suit the views so badly that they tell nothing.
     """
     sums = at.sums if isinstance(at, RigSolution) else sums_at(views, at)
-    return _greedy(sums, most)
+    try:
+        return _greedy(sums, most)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(f"no poses of the cameras suit the corners. {OTHER_BOARD}") from error
 
 
 def sums_at(views: RigViews, rig: CameraRig) -> ClusterSums:

@@ -16,7 +16,7 @@ from ...results.camera_diagnostics import SolverStep
 from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
 from .normal import ReducedEquations, ViewNormalEquations, eliminate_poses, view_sums
-from .problem import Problem
+from .problem import OTHER_BOARD, Problem
 from .rig import CameraRig, RigSolution, RigViews, SeenCorners
 
 _AT_REST = 3e-3  # sigmas of a shared parameter
@@ -27,10 +27,7 @@ _MOST_DAMPING = 1e10
 _CORRECTIONS = 3
 _BAD_FRAME = 4.0  # scatter of a frame over the usual one
 _REMOVALS = 3
-
-
 _IMAGED = 0.5  # of the corners in use
-_OTHER_BOARD = "Check that the target file describes the board."
 
 
 @value_class
@@ -67,10 +64,10 @@ def solve_rig(
         with np.errstate(all="ignore"):  # what does not suit the views runs away, and is told by what comes out
             found = _solved(views, start, board, robust, most_iterations)
     except np.linalg.LinAlgError as error:
-        raise SolveError(f"the estimation of the cameras runs away. {_OTHER_BOARD}") from error
+        raise SolveError(f"the estimation of the cameras runs away. {OTHER_BOARD}") from error
     for name, seen in found.corners.items():
         if not np.isfinite(seen.residual).mean() > _IMAGED:
-            raise SolveError(f"{name}: the estimation runs away, its lens images few of the corners. {_OTHER_BOARD}")
+            raise SolveError(f"{name}: the estimation runs away, its lens images few of the corners. {OTHER_BOARD}")
     return found
 
 
