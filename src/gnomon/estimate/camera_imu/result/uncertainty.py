@@ -16,6 +16,7 @@ import numpy as np
 from ....frozen import value_class
 from ....recording import Floats, Integers
 from ....results.trust import Clusters
+from ...trust.changes import estimates_are_judged
 from ...trust.clusters import (
     ClusterSums,
     correlation_time,
@@ -37,6 +38,7 @@ from .residual_patterns import LAST_TERM, counting_corners, missing_term
 _FEWEST_STRETCHES = 12
 _ASKED = 3.0  # sigmas
 _LEAST_MEMORY = 1
+_LENS = ".intrinsics"
 """Stretches: the trajectory that is fitted to them makes neighbouring ones alike, however white the noise is."""
 
 
@@ -188,13 +190,16 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
 def _held_by_clusters(
     held: dict[str, FixedParameterEffect], sums: ClusterSums, layout: BorderLayout, columns: Integers, memory: int
 ) -> dict[str, FixedParameterEffect]:
-    """Return the same with the standard deviations that clusters of time tell of the steps that would be taken."""
+    """Return the same with the standard deviations that clusters of time tell of the steps that would be taken.
+
+    They judge the model, but for that of a lens, which widens what is estimated (`with_detector_scale`).
+    """
     place = {name: i for i, name in enumerate(layout.names)}
     found: dict[str, FixedParameterEffect] = {}
     for block, entry in held.items():
         index = np.array([place[name] for name in entry.names])
         found[block] = entry
-        if (index < layout.dense).all():
+        if (index < layout.dense).all() and (estimates_are_judged() or block.endswith(_LENS)):
             own = sums.of_parameters(np.concatenate([columns, index]))
             step, _ = whole_estimate(own)
             at_rest = replace(
@@ -254,7 +259,7 @@ def with_detector_scale(found: Uncertainty, parameters: RigParameters, sigmas: M
         sigma, lens = sigmas.get(entry.name, 0.0), entry.camera
         if not sigma:
             continue
-        held = found.held.get(f"{entry.name}.intrinsics")
+        held = found.held.get(f"{entry.name}{_LENS}")
         sigma = sigma if held is None else max(sigma, _asked_focal(held, entry))
         scalars = [f"{entry.name}.intrinsics[{len(lens.intrinsics) - k}]" for k in (4, 3)]
         step = dict(zip(scalars, (sigma * lens.intrinsics[-4:-2]).tolist(), strict=True))
