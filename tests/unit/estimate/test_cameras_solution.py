@@ -11,6 +11,7 @@ from gnomon.errors import InitialisationError, OptionError, SolveError
 from gnomon.estimate.cameras.first_lens import first_lens, fit_lens_model, general_lens
 from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, number_views_alike
 from gnomon.estimate.cameras.layout import board_points, stated_shape
+from gnomon.estimate.cameras.problem import chosen_views
 from gnomon.estimate.cameras.rig import gathered_views
 from gnomon.estimate.cameras.solution import solve_rig
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
@@ -148,6 +149,8 @@ def test_an_estimation_that_runs_away_is_an_error_that_names_the_target_file(ima
     behind = replace(start, p_cam0_target=np.where(np.arange(6)[:, None] < imaged, 1, -1) * start.p_cam0_target)
     with pytest.raises(SolveError, match=r"runs away.* target file"):
         solve_rig(views, behind)
+    with pytest.raises(SolveError, match=r"no poses .* target file"):
+        chosen_views(views, replace(start, p_cam0_target=1e-3 * start.p_cam0_target))
 
 
 def test_what_the_detector_knows_of_corners_weighs_them() -> None:

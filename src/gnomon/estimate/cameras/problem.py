@@ -235,7 +235,8 @@ def chosen_views(views: RigViews, at: RigSolution | CameraRig, most: int | None 
     """
     sums = at.sums if isinstance(at, RigSolution) else sums_at(views, at)
     try:
-        return _greedy(sums, most)
+        with np.errstate(all="ignore"):
+            return _greedy(sums, most)
     except np.linalg.LinAlgError as error:
         raise SolveError(f"no poses of the cameras suit the corners. {OTHER_BOARD}") from error
 
