@@ -470,8 +470,8 @@ def _unevenness(values: Floats) -> tuple[float, float, float]:
     lengths = np.linalg.norm(means, axis=1, keepdims=True)
     low, middle, high = np.quantile(lengths, [0.1, 0.5, 0.9])
     direction = means / np.maximum(lengths, 1e-300)
-    off = means - means.mean(axis=0)
-    kurtosis = float(np.mean((off / np.maximum(off.std(axis=0), 1e-300)) ** 4))
+    off, spread = means - means.mean(axis=0), means.std(axis=0)
+    kurtosis = float(np.mean((off / np.where(spread > 0, spread, np.inf)) ** 4))
     return float(high - low) / max(float(middle), 1e-300), 1 - float(np.linalg.norm(direction.mean(axis=0))), kurtosis
 
 
