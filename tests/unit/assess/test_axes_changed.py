@@ -94,14 +94,19 @@ def _changed(recording: gnomon.Recording, triad: str, axes: Floats, share: float
     return replace(recording, imus={"imu0": replace(imu, **{triad: replace(samples, values=values)})})
 
 
-def test_a_gyroscope_that_hangs_while_the_sensor_is_turned_over_is_no_reversed_accelerometer() -> None:
-    recording = gnomon.simulate(gnomon.Scenario(intervals=24), 44)[0]
-    imu = recording.imus["imu0"]
+def rests_of(imu: gnomon.ImuSamples):
+    """Return the static intervals, and the direction of gravity in each, (n, 3)."""
     detection = find_imu_rests(imu)
     assert detection is not None
     rests = detection.chosen.intervals
     up = interval_means(imu.accelerometer.values, rests)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return rests, up / np.linalg.norm(up, axis=1, keepdims=True)
+
+
+def test_a_gyroscope_that_hangs_while_the_sensor_is_turned_over_is_no_reversed_accelerometer() -> None:
+    recording = gnomon.simulate(gnomon.Scenario(intervals=24), 44)[0]
+    imu = recording.imus["imu0"]
+    rests, up = rests_of(imu)
     over = int(np.argmin(np.sum(up[1:] * up[:-1], axis=1)))
     assert up[over] @ up[over + 1] < -0.99
     rates = imu.gyroscope.values.copy()
@@ -116,11 +121,7 @@ def test_recordings_joined_between_opposite_attitudes_are_no_reversed_accelerome
     """The one rotation that nobody recorded is left out; its residual across the directions would be none."""
     recording = gnomon.simulate(gnomon.Scenario(intervals=30), seed)[0]
     imu = recording.imus["imu0"]
-    detection = find_imu_rests(imu)
-    assert detection is not None
-    rests = detection.chosen.intervals
-    up = interval_means(imu.accelerometer.values, rests)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    rests, up = rests_of(imu)
     ends = np.triu(up @ up.T, 1)
     one, other = np.unravel_index(np.argmin(ends), ends.shape)
     assert ends[one, other] < -0.99
