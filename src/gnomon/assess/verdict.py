@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import radians, sqrt
 
-from ..estimate.trust.cluster_trust import Instability
+from ..estimate.trust.parts import Instability
 from ..findings import Finding, Severity, list_first, make_finding
 from ..options.requirements import GENERAL_RIG
 from ..results.calibration import Assessment, Gravity, Verdict

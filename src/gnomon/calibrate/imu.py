@@ -36,7 +36,7 @@ from ..estimate.multiposition.scaling import (
 )
 from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.changes import estimates_are_judged, look_or_postpone
-from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
+from ..estimate.trust.parts import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S

@@ -5,8 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gnomon.estimate.trust.clusters import ClusterSums, _jackknife, robust_variances
-from gnomon.estimate.trust.model_choice import CandidateBlock, model_steps
+from gnomon.estimate.trust.clusters import CandidateBlock, ClusterSums, _jackknife, model_steps, robust_variances
 from gnomon.solve.bordered_band import BorderedBand, Workspace
 
 SIZE = 6

@@ -6,7 +6,6 @@ import pytest
 from gnomon.estimate.multiposition.drift import accelerometer_drifts, with_trend
 from gnomon.estimate.multiposition.fit import fit_multiposition
 from gnomon.estimate.multiposition.scaling import segment_sums
-from gnomon.estimate.trust.cluster_trust import robust_covariance
 from gnomon.estimate.trust.clusters import (
     ClusterSums,
     _jackknife,
@@ -15,6 +14,7 @@ from gnomon.estimate.trust.clusters import (
     leave_clusters_out,
     robust_variances,
 )
+from gnomon.estimate.trust.parts import robust_covariance
 
 NAMES = ("x.scale[0]", "x.scale[1]", "x.scale[2]", "x.bias[0]", "x.bias[1]", "x.bias[2]")
 BLOCK = np.array([0, 0, 0, 1, 1, 1])

@@ -11,7 +11,7 @@ from ...estimate.multiposition.noise_levels import whitened_rest
 from ...estimate.multiposition.problem import MultiPositionProblem, TriadStream
 from ...estimate.multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
 from ...estimate.multiposition.scaling import ImuEstimate
-from ...estimate.trust.cluster_trust import Instability
+from ...estimate.trust.parts import Instability
 from ...findings import join_names, list_first
 from ...frozen import value_class
 from ...recording import Floats, Integers

@@ -6,7 +6,7 @@ from ...estimate.triads.dip import DipFit
 from ...estimate.triads.field_poses import FieldPoses, field_of
 from ...estimate.triads.known_attitudes import GravityFit
 from ...estimate.triads.magnetometer import MagnetometerFit
-from ...estimate.trust.cluster_trust import RobustCovariance
+from ...estimate.trust.parts import RobustCovariance
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.calibration import Gravity

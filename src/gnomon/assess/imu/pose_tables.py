@@ -8,7 +8,7 @@ from ...estimate.triads.pose_drift import PoseDrift, PoseStep
 from ...estimate.triads.rotation_sensitivity import RotationSensitivity
 from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ...estimate.triads.triad import TriadFit
-from ...estimate.trust.cluster_trust import RobustCovariance
+from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, Poses

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ...estimate.triads.triad_poses import S_
-from ...estimate.trust.cluster_trust import RobustCovariance
+from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.result import Booleans

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...estimate.triads.triad import TriadFit, TriadPoses
 from ...estimate.triads.triad_trust import merge_trusts
-from ...estimate.trust.cluster_trust import RobustCovariance
+from ...estimate.trust.parts import RobustCovariance
 from ...estimate.turntable.fit import TurntableFit
 from ...estimate.turntable.parts import TurntableParts
 from ...frozen import value_class

@@ -13,7 +13,7 @@ from ...errors import GnomonError
 from ...estimate.camera_imu.result.residual_patterns import along_board, common_pattern
 from ...estimate.cameras.rig import RigSolution
 from ...estimate.cameras.solution import solve_rig
-from ...estimate.trust.model_choice import CandidateBlock, CandidateStep, model_steps
+from ...estimate.trust.clusters import CandidateBlock, CandidateStep, model_steps
 from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats, Integers

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...estimate.cameras.rig import RigSolution
-from ...estimate.trust.cluster_trust import robust_covariance
+from ...estimate.trust.parts import robust_covariance
 from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats

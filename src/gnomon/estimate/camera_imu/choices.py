@@ -14,8 +14,7 @@ from ...geometry.rotation_vector import rotvec_from_rotation
 from ...options import CameraImuOptions, stated_prior
 from ...recording import Floats, Integers
 from ...results.trust import BlockChange, ModelStep
-from ..trust.clusters import ClusterSums
-from ..trust.model_choice import CandidateBlock, CandidateStep, model_steps
+from ..trust.clusters import CandidateBlock, CandidateStep, ClusterSums, model_steps
 from .layout import BorderLayout, ParameterBlock, Status, parameter_blocks, sensor_priors
 from .parameters import RigParameters
 

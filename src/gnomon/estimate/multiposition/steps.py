@@ -6,8 +6,7 @@ import numpy as np
 
 from ...recording import Floats
 from ...results.trust import BlockChange, ModelStep
-from ..trust.clusters import ClusterSums
-from ..trust.model_choice import CandidateBlock, CandidateStep, model_steps
+from ..trust.clusters import CandidateBlock, CandidateStep, ClusterSums, model_steps
 from .model import B_, BG_, CG_, G_, PARAMETERS, S_, BiasFunctions, MultiPositionState
 
 _SCALES = np.array([S_.start, S_.start + 2, S_.start + 5, CG_.start, CG_.start + 4, CG_.start + 8])

@@ -12,8 +12,8 @@ from ...recording import Floats, Integers
 from ...results.parameters import element_names
 from ...results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 from ..trust.changes import parameter_changes
-from ..trust.cluster_trust import PartComparison, RobustCovariance, robust_covariance
 from ..trust.clusters import ClusterSums, Robust
+from ..trust.parts import PartComparison, RobustCovariance, robust_covariance
 from .magnetometer import MagnetometerFit
 from .triad import TriadFit
 

@@ -18,7 +18,7 @@ from ...results.result import Booleans
 from ..multiposition.drift import BiasCourse, bias_course
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
-from ..trust.cluster_trust import RobustCovariance
+from ..trust.parts import RobustCovariance
 from .parts import AxisInSensor, TurntableData, drift_at, shown_density
 
 Sense = Literal["clockwise", "counterclockwise"]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.trust.clusters import ClusterSums
-from gnomon.estimate.trust.model_choice import CandidateBlock, model_steps
+from gnomon.estimate.trust.clusters import CandidateBlock, ClusterSums, model_steps
 
 _CLUSTERS, _ROWS = 20, 30
 
