@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..frozen import value_class
 from ..geometry.rotation_vector import invert_matrix, skew
 from ..models.camera import Camera
-from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
+from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, RequiredQuantity, Use
 from ..recording import Floats
 from ..results.calibration import Calibration
 from ..results.trust import ParameterChange, QuantityChange, Trust
@@ -30,66 +29,34 @@ OF_HEADING = 2.0
 """Error of a heading over that of the field's direction, where the field dips by 60 deg."""
 
 
-@value_class(eq=True)
-class _Scale:
-    """How a quantity is told: in words, with its unit and one of it [SI], and what is needed where no use is stated."""
-
-    words: str
-    unit: str
-    size: float
-    needed: float
-    cure: str
-
-
 _FASTEN = "Check that sensors, board and housing are screwed on and that nothing was touched"
 _EXCHANGED = f"Check that its data are of one sensor throughout, not of another one from then on. {_FASTEN}"
 _WARM = "Let the sensor warm up, and keep it at one temperature"
-_GENERAL = {**GENERAL_IMU.needs, **GENERAL_RIG.needs}
-_OTHERS = {
+_QUANTITIES: Mapping[str, RequiredQuantity] = {
+    **QUANTITIES,
+    "lens": RequiredQuantity(words="lens of {sensor} (rms over the image)", kind="distance in the image"),
+}
+_NEEDED: Mapping[str, float] = {
+    **GENERAL_IMU.needs,
+    **GENERAL_RIG.needs,
     # As for a phone's g-sensitivity and an attitude module's heading.
     "gyroscope_g_sensitivity": np.radians(0.1) / 9.80665,
     "heading": np.radians(0.7),
+    "lens": 0.25,
 }
+"""Quantity -> what is needed where no use is stated [SI]; nothing of biases. A lens that is off by a quarter of a pixel
+is worse than any good detector."""
+
 _CURES = {
     "gyroscope_scale": _WARM,
     "accelerometer_scale": _WARM,
+    "gyroscope_bias": _WARM,
+    "accelerometer_bias": _WARM,
     "time_shift": "Stamp images and samples by one clock (a hardware trigger, or PTP)",
     "heading": "Keep iron, magnets and cables away from the sensor, or fix them to it",
+    "lens": "Fix zoom, focus and crop of the camera, turn off autofocus and stabilisation, and check that all images "
+    "are of one camera",
 }
-_SCALES: Mapping[str, _Scale] = (
-    {
-        name: _Scale(
-            words=QUANTITIES[name].words,
-            unit=QUANTITIES[name].unit,
-            size=QUANTITIES[name].size,
-            needed=(_GENERAL | _OTHERS)[name],
-            cure=_CURES.get(name, _FASTEN),
-        )
-        for name in QUANTITIES
-        if name in _GENERAL or name in _OTHERS
-    }
-    | {
-        f"{triad}_bias": _Scale(
-            words=QUANTITIES[f"{triad}_bias"].words,
-            unit=QUANTITIES[f"{triad}_bias"].unit,
-            size=QUANTITIES[f"{triad}_bias"].size,
-            needed=0.0,
-            cure=_WARM,
-        )
-        for triad in ("accelerometer", "gyroscope")
-    }
-    | {
-        "lens": _Scale(
-            words="lens of {sensor} (rms over the image)",
-            unit="px",
-            size=1.0,
-            needed=0.25,
-            cure="Fix zoom, focus and crop of the camera, turn off autofocus and stabilisation, and check that all "
-            "images are of one camera",
-        ),
-    }
-)
-"""Quantity -> how it is told. A lens that is off by a quarter of a pixel is worse than any good detector."""
 
 
 def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
@@ -164,36 +131,36 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
             case="beyond" if beyond else "",
             told=told,
             where=own[0].where,
-            cure=_EXCHANGED if own[0].sensor in jumped & moved else _SCALES[worst.quantity].cure,
+            cure=_EXCHANGED if own[0].sensor in jumped & moved else _CURES.get(worst.quantity, _FASTEN),
         )
 
 
 def needed_of(change: QuantityChange, use: Use | None) -> float:
     """Return what is needed of a quantity [SI]; zero where a use does not ask for it."""
     if use is None or change.quantity not in QUANTITIES:
-        return _SCALES[change.quantity].needed
+        return _NEEDED.get(change.quantity, 0.0)
     return use.needs.get(change.quantity, 0.0)
 
 
 def unit_of_quantity(quantity: str) -> tuple[str, float]:
     """Return the unit in which a quantity is told, and one of it [SI, px]."""
-    return _SCALES[quantity].unit, _SCALES[quantity].size
+    return _QUANTITIES[quantity].unit, _QUANTITIES[quantity].size
 
 
 def told_with_cure(change: QuantityChange, needed: float, use: Use | None) -> tuple[str, str]:
     """Return a change in words beside what is needed, and what to do about it."""
-    return _told(change, needed, use), _SCALES[change.quantity].cure
+    return _told(change, needed, use), _CURES.get(change.quantity, _FASTEN)
 
 
 def _told(change: QuantityChange, needed: float, use: Use | None) -> str:
-    scale = _SCALES[change.quantity]
-    words = scale.words.format(sensor=change.sensor)
-    if "{sensor}" not in scale.words and change.sensor != "imu0":
+    quantity = _QUANTITIES[change.quantity]
+    words = quantity.words.format(sensor=change.sensor)
+    if "{sensor}" not in quantity.words and change.sensor != "imu0":
         words += f" of {change.sensor}"
     who = "general use" if use is None else use.name
-    limit = f"{who} needs {needed / scale.size:.2g}" if needed else f"{who} does not ask for it"
-    size, sigma = change.size / scale.size, change.sigma / scale.size
-    return f"the {words} by {size:.2g} +- {sigma:.1g} {scale.unit} ({limit})"
+    limit = f"{who} needs {needed / quantity.size:.2g}" if needed else f"{who} does not ask for it"
+    size, sigma = change.size / quantity.size, change.sigma / quantity.size
+    return f"the {words} by {size:.2g} +- {sigma:.1g} {quantity.unit} ({limit})"
 
 
 def quantity_changes(change: ParameterChange, calibration: Calibration) -> tuple[QuantityChange, ...]:

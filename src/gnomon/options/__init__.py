@@ -1,6 +1,6 @@
 """What a person may choose; the command line is made from these classes."""
 
-from .cameras import (
+from .calibration import (
     BOARDS,
     COVARIANCES,
     BoardModel,
@@ -8,10 +8,17 @@ from .cameras import (
     CameraOptions,
     CovarianceKind,
     FrameSelection,
+    ImuOptions,
+    MagnetometerOptions,
+    NoiseOptions,
+    Preset,
+    StatedRate,
+    TurntableOptions,
+    check_ranges,
+    default_rate_sigma,
+    option_range,
     stated_prior,
 )
-from .imu import ImuOptions, MagnetometerOptions, NoiseOptions, Preset, StatedRate, TurntableOptions, default_rate_sigma
-from .ranges import check_ranges, option_range
 
 __all__ = [
     "BOARDS",

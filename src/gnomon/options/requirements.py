@@ -13,8 +13,10 @@ from math import isfinite, pi
 from ..errors import OptionError
 from ..frozen import FrozenMapping, value_class
 
-_DEG = pi / 180
+_DEG, _MRAD = pi / 180, 1e-3
+_MM, _MS, _PERCENT = 1e-3, 1e-3, 1e-2
 _G = 9.80665
+_DEG_S_G = _DEG / _G
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "angle": {"deg": _DEG, "rad": 1.0, "mrad": 1e-3},
     "length": {"mm": 1e-3, "m": 1.0, "cm": 1e-2},
@@ -22,7 +24,8 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "ratio": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
     "rate": {"deg/s": _DEG, "rad/s": 1.0, "mrad/s": 1e-3, "deg/h": _DEG / 3600},
     "acceleration": {"mm/s^2": 1e-3, "m/s^2": 1.0, "mg": 1e-3 * _G, "g": _G},
-    "rate per acceleration": {"deg/s/g": _DEG / _G, "rad/s/(m/s^2)": 1.0},
+    "rate per acceleration": {"deg/s/g": _DEG_S_G, "rad/s/(m/s^2)": 1.0},
+    "distance in the image": {"px": 1.0},
 }
 """Kind of quantity -> its units, in SI; the first is the one that is shown."""
 
@@ -33,12 +36,10 @@ class RequiredQuantity:
 
     Attributes
     ----------
-    name : in a file of requirements
     words : for people; {sensor} stands for the camera or the IMU
     kind : of its unit
     """
 
-    name: str
     words: str
     kind: str
 
@@ -58,22 +59,19 @@ FIELD_UT = 48.0
 
 QUANTITIES: Mapping[str, RequiredQuantity] = FrozenMapping(
     {
-        name: RequiredQuantity(name=name, words=words, kind=kind)
-        for name, words, kind in (
-            ("camera_rotation", "rotation of {sensor} against the IMU", "angle"),
-            ("camera_translation", "translation of {sensor} against the IMU", "length"),
-            ("time_shift", "time shift of {sensor}", "time"),
-            ("imu_rotation", "rotation of {sensor} against imu0", "angle"),
-            ("imu_translation", "translation of {sensor} against imu0", "length"),
-            ("gyroscope_scale", "gyroscope scale", "ratio"),
-            ("gyroscope_misalignment", "gyroscope axes", "angle"),
-            ("gyroscope_bias", "gyroscope bias", "rate"),
-            ("gyroscope_g_sensitivity", "gyroscope g-sensitivity", "rate per acceleration"),
-            ("accelerometer_scale", "accelerometer scale", "ratio"),
-            ("accelerometer_misalignment", "accelerometer axes", "angle"),
-            ("accelerometer_bias", "accelerometer bias", "acceleration"),
-            ("heading", "heading by the magnetometer", "angle"),
-        )
+        "camera_rotation": RequiredQuantity(words="rotation of {sensor} against the IMU", kind="angle"),
+        "camera_translation": RequiredQuantity(words="translation of {sensor} against the IMU", kind="length"),
+        "time_shift": RequiredQuantity(words="time shift of {sensor}", kind="time"),
+        "imu_rotation": RequiredQuantity(words="rotation of {sensor} against imu0", kind="angle"),
+        "imu_translation": RequiredQuantity(words="translation of {sensor} against imu0", kind="length"),
+        "gyroscope_scale": RequiredQuantity(words="gyroscope scale", kind="ratio"),
+        "gyroscope_misalignment": RequiredQuantity(words="gyroscope axes", kind="angle"),
+        "gyroscope_bias": RequiredQuantity(words="gyroscope bias", kind="rate"),
+        "gyroscope_g_sensitivity": RequiredQuantity(words="gyroscope g-sensitivity", kind="rate per acceleration"),
+        "accelerometer_scale": RequiredQuantity(words="accelerometer scale", kind="ratio"),
+        "accelerometer_misalignment": RequiredQuantity(words="accelerometer axes", kind="angle"),
+        "accelerometer_bias": RequiredQuantity(words="accelerometer bias", kind="acceleration"),
+        "heading": RequiredQuantity(words="heading by the magnetometer", kind="angle"),
     }
 )
 
@@ -94,18 +92,6 @@ class Use:
     words: str
     needs: Mapping[str, float]
     fails_at: float = 3.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "needs", FrozenMapping(self.needs))
-
-
-def _use(name: str, words: str, fails_at: float = 3.0, **needs: str) -> Use:
-    return Use(
-        name=name,
-        words=words,
-        needs={quantity: parse_sigma(quantity, text) for quantity, text in needs.items()},
-        fails_at=fails_at,
-    )
 
 
 def parse_sigma(name: str, text: str) -> float:
@@ -138,80 +124,93 @@ def parse_sigma(name: str, text: str) -> float:
 
 USES: Mapping[str, Use] = FrozenMapping(
     {
-        use.name: use
-        for use in (
-            # Measured (gnomon study circuit, seed 0): with all eight quantities of cameras, clock, scales, axes and
-            # g-sensitivity off by these at once, the odometry of a rig with an MPU-6000 that is carried round 60 to
-            # 120 m drifts as much more as it does by itself, and each adds the same part. Biases are followed by the
-            # odometry: a tilt of 0.1 deg turns gravity into 17 mm/s^2. A second IMU may be turned against the first by
-            # as much as a gyroscope's axes may, and be as far from where it should as a camera.
-            _use(
-                "vio",
-                "visual-inertial odometry",
-                camera_rotation="0.08 deg",
-                camera_translation="4 mm",
-                time_shift="0.25 ms",
-                imu_rotation="0.1 deg",
-                imu_translation="4 mm",
-                gyroscope_scale="0.15 %",
-                gyroscope_misalignment="0.1 deg",
-                gyroscope_bias="0.05 deg/s",
-                gyroscope_g_sensitivity="0.1 deg/s/g",
-                accelerometer_scale="0.3 %",
-                accelerometer_misalignment="0.4 deg",
-                accelerometer_bias="20 mm/s^2",
+        # Measured (gnomon study circuit, seed 0): with all eight quantities of cameras, clock, scales, axes and
+        # g-sensitivity off by these at once, the odometry of a rig with an MPU-6000 that is carried round 60 to
+        # 120 m drifts as much more as it does by itself, and each adds the same part. Biases are followed by the
+        # odometry: a tilt of 0.1 deg turns gravity into 17 mm/s^2. A second IMU may be turned against the first by
+        # as much as a gyroscope's axes may, and be as far from where it should as a camera.
+        "vio": Use(
+            name="vio",
+            words="visual-inertial odometry",
+            needs=FrozenMapping(
+                {
+                    "camera_rotation": 0.08 * _DEG,
+                    "camera_translation": 4 * _MM,
+                    "time_shift": 0.25 * _MS,
+                    "imu_rotation": 0.1 * _DEG,
+                    "imu_translation": 4 * _MM,
+                    "gyroscope_scale": 0.15 * _PERCENT,
+                    "gyroscope_misalignment": 0.1 * _DEG,
+                    "gyroscope_bias": 0.05 * _DEG,
+                    "gyroscope_g_sensitivity": 0.1 * _DEG_S_G,
+                    "accelerometer_scale": 0.3 * _PERCENT,
+                    "accelerometer_misalignment": 0.4 * _DEG,
+                    "accelerometer_bias": 20 * _MM,
+                }
             ),
-            # Data sheets of attitude modules state 0.2 to 0.5 deg in roll and pitch, 1 to 2 deg in heading: a third of
-            # it for each contribution. Tilt by bias and axes of the accelerometer 0.1 deg; turns of 90 deg end within
-            # 0.3 deg, until gravity corrects them.
-            _use(
-                "ahrs",
-                "attitude and heading",
-                imu_rotation="0.1 deg",
-                gyroscope_scale="0.3 %",
-                gyroscope_misalignment="0.2 deg",
-                gyroscope_bias="0.05 deg/s",
-                gyroscope_g_sensitivity="0.1 deg/s/g",
-                accelerometer_scale="0.3 %",
-                accelerometer_misalignment="0.1 deg",
-                accelerometer_bias="17 mm/s^2",
-                heading="0.7 deg",
+        ),
+        # Data sheets of attitude modules state 0.2 to 0.5 deg in roll and pitch, 1 to 2 deg in heading: a third of
+        # it for each contribution. Tilt by bias and axes of the accelerometer 0.1 deg; turns of 90 deg end within
+        # 0.3 deg, until gravity corrects them.
+        "ahrs": Use(
+            name="ahrs",
+            words="attitude and heading",
+            needs=FrozenMapping(
+                {
+                    "imu_rotation": 0.1 * _DEG,
+                    "gyroscope_scale": 0.3 * _PERCENT,
+                    "gyroscope_misalignment": 0.2 * _DEG,
+                    "gyroscope_bias": 0.05 * _DEG,
+                    "gyroscope_g_sensitivity": 0.1 * _DEG_S_G,
+                    "accelerometer_scale": 0.3 * _PERCENT,
+                    "accelerometer_misalignment": 0.1 * _DEG,
+                    "accelerometer_bias": 17 * _MM,
+                    "heading": 0.7 * _DEG,
+                }
             ),
-            # A horizon off by 0.1 deg is seen in a picture 1000 px wide (1.7 px), as is a drift of 0.02 deg/s within
-            # seconds. Rates are fed back, so that their scale hardly matters; positions do not matter at all.
-            _use(
-                "gimbal",
-                "stabilised camera",
-                camera_rotation="0.1 deg",
-                time_shift="2 ms",
-                imu_rotation="0.05 deg",
-                gyroscope_scale="1 %",
-                gyroscope_misalignment="0.5 deg",
-                gyroscope_bias="0.02 deg/s",
-                gyroscope_g_sensitivity="0.05 deg/s/g",
-                accelerometer_scale="0.5 %",
-                accelerometer_misalignment="0.05 deg",
-                accelerometer_bias="9 mm/s^2",
+        ),
+        # A horizon off by 0.1 deg is seen in a picture 1000 px wide (1.7 px), as is a drift of 0.02 deg/s within
+        # seconds. Rates are fed back, so that their scale hardly matters; positions do not matter at all.
+        "gimbal": Use(
+            name="gimbal",
+            words="stabilised camera",
+            needs=FrozenMapping(
+                {
+                    "camera_rotation": 0.1 * _DEG,
+                    "time_shift": 2 * _MS,
+                    "imu_rotation": 0.05 * _DEG,
+                    "gyroscope_scale": 1 * _PERCENT,
+                    "gyroscope_misalignment": 0.5 * _DEG,
+                    "gyroscope_bias": 0.02 * _DEG,
+                    "gyroscope_g_sensitivity": 0.05 * _DEG_S_G,
+                    "accelerometer_scale": 0.5 * _PERCENT,
+                    "accelerometer_misalignment": 0.05 * _DEG,
+                    "accelerometer_bias": 9 * _MM,
+                }
             ),
-            # Android's Camera ITS (test_sensor_fusion) lets camera and gyroscope differ by 1 ms. Video is stabilised
-            # by rotation alone; augmented reality follows both online, within centimetres and half a degree.
-            _use(
-                "phone",
-                "video stabilisation and augmented reality",
-                camera_rotation="0.3 deg",
-                camera_translation="10 mm",
-                time_shift="1 ms",
-                imu_rotation="0.3 deg",
-                imu_translation="10 mm",
-                gyroscope_scale="0.3 %",
-                gyroscope_misalignment="0.3 deg",
-                gyroscope_bias="0.1 deg/s",
-                gyroscope_g_sensitivity="0.1 deg/s/g",
-                accelerometer_scale="0.5 %",
-                accelerometer_misalignment="0.3 deg",
-                accelerometer_bias="50 mm/s^2",
+        ),
+        # Android's Camera ITS (test_sensor_fusion) lets camera and gyroscope differ by 1 ms. Video is stabilised
+        # by rotation alone; augmented reality follows both online, within centimetres and half a degree.
+        "phone": Use(
+            name="phone",
+            words="video stabilisation and augmented reality",
+            needs=FrozenMapping(
+                {
+                    "camera_rotation": 0.3 * _DEG,
+                    "camera_translation": 10 * _MM,
+                    "time_shift": 1 * _MS,
+                    "imu_rotation": 0.3 * _DEG,
+                    "imu_translation": 10 * _MM,
+                    "gyroscope_scale": 0.3 * _PERCENT,
+                    "gyroscope_misalignment": 0.3 * _DEG,
+                    "gyroscope_bias": 0.1 * _DEG,
+                    "gyroscope_g_sensitivity": 0.1 * _DEG_S_G,
+                    "accelerometer_scale": 0.5 * _PERCENT,
+                    "accelerometer_misalignment": 0.3 * _DEG,
+                    "accelerometer_bias": 50 * _MM,
+                }
             ),
-        )
+        ),
     }
 )
 """Built-in uses by name."""
@@ -219,26 +218,34 @@ USES: Mapping[str, Use] = FrozenMapping(
 GENERAL = "general"
 """The name under which a calibration is judged again for no special use."""
 
-GENERAL_RIG = _use(
-    GENERAL,
-    "general use",
-    10.0,
-    camera_rotation="0.1 deg",
-    camera_translation="5 mm",
-    time_shift="0.5 ms",
-    imu_rotation="0.1 deg",
-    imu_translation="5 mm",
+GENERAL_RIG = Use(
+    name=GENERAL,
+    words="general use",
+    needs=FrozenMapping(
+        {
+            "camera_rotation": 0.1 * _DEG,
+            "camera_translation": 5 * _MM,
+            "time_shift": 0.5 * _MS,
+            "imu_rotation": 0.1 * _DEG,
+            "imu_translation": 5 * _MM,
+        }
+    ),
+    fails_at=10.0,
 )
 """What is asked of cameras and IMUs where no use is stated."""
 
-GENERAL_IMU = _use(
-    GENERAL,
-    "general use",
-    10.0,
-    gyroscope_scale="0.2 %",
-    gyroscope_misalignment="3 mrad",
-    accelerometer_scale="0.2 %",
-    accelerometer_misalignment="3 mrad",
+GENERAL_IMU = Use(
+    name=GENERAL,
+    words="general use",
+    needs=FrozenMapping(
+        {
+            "gyroscope_scale": 0.2 * _PERCENT,
+            "gyroscope_misalignment": 3 * _MRAD,
+            "accelerometer_scale": 0.2 * _PERCENT,
+            "accelerometer_misalignment": 3 * _MRAD,
+        }
+    ),
+    fails_at=10.0,
 )
 """What is asked of an IMU alone where no use is stated."""
 
@@ -265,18 +272,18 @@ BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
     {
         # REML over eight MPU-9150 on six occasions (MIMU4444: Carlsson, Skog and Jalden 2021), in one laboratory:
         # 0.0137 %, 0.19 mrad, 5.3e-6 rad/s per m/s^2.
-        "accelerometer_scale": parse_sigma("accelerometer_scale", "0.015 %"),
-        "accelerometer_misalignment": parse_sigma("accelerometer_misalignment", "0.0002 rad"),
-        "gyroscope_g_sensitivity": parse_sigma("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
+        "accelerometer_scale": 0.015 * _PERCENT,
+        "accelerometer_misalignment": 0.0002,
+        "gyroscope_g_sensitivity": 5.5e-06,
         # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale is typical of
         # consumer sensors, from memory of data sheets and not from one source: 0.01 to 0.03 % a kelvin, over the 3 K
         # between two days in one room.
-        "gyroscope_scale": parse_sigma("gyroscope_scale", "0.05 %"),
-        "gyroscope_misalignment": parse_sigma("gyroscope_misalignment", "0.0002 rad"),
+        "gyroscope_scale": 0.05 * _PERCENT,
+        "gyroscope_misalignment": 0.0002,
         # Typical values again, from memory of data sheets: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444 measured
         # 28 mm/s^2 and 0.10 deg/s.
-        "accelerometer_bias": parse_sigma("accelerometer_bias", "50 mm/s^2"),
-        "gyroscope_bias": parse_sigma("gyroscope_bias", "0.25 deg/s"),
+        "accelerometer_bias": 50 * _MM,
+        "gyroscope_bias": 0.25 * _DEG,
     }
 )
 """By how much one sensor differs from recording to recording, standard deviation [SI]: switched on anew, at another

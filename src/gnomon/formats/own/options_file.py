@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import FrozenMapping
 from ...options.requirements import QUANTITIES, Use, known_use, parse_sigma
 from ..shared.structured import Node, read_yaml
 from ..shared.typed_values import read_typed
@@ -80,7 +81,7 @@ def read_use(use: str | PathLike[str]) -> Use:
     if not fails_at > 1:
         raise keys["fails_at"].fail(f"found {fails_at:g}, expected a number above 1.")
     name = keys["name"].text() if "name" in keys else path.stem
-    return Use(name=name, words=name, needs=needs, fails_at=fails_at)
+    return Use(name=name, words=name, needs=FrozenMapping(needs), fails_at=fails_at)
 
 
 def _read_need(node: Node) -> float:
