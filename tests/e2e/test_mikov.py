@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.multiposition.rotations import (
+from gnomon.estimate.multiposition.measurements import (
     cut_segments,
     integrate_rates,
     propagate_directions,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimate.multiposition.scaling import ImuEstimate
+from ..estimate.multiposition.problem import ImuEstimate
 from ..findings import Finding, make_finding
 from ..options.requirements import GENERAL_RIG
 from ..recording import Floats

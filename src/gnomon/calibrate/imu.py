@@ -23,18 +23,18 @@ from ..detect.samples.threshold import (
 )
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
-from ..estimate.multiposition.change_causes import change_by_one_cause
+from ..estimate.multiposition.evidence import free_jacobian, segment_sums, unseen_changes, with_runs
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
-from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.multiposition.scaling import (
+from ..estimate.multiposition.problem import (
     ImuEstimate,
-    free_jacobian,
-    segment_sums,
+    MultiPositionProblem,
+    TriadStream,
+    build_problem,
+    gyroscope_intervals,
     sensor_scalars,
     to_physical_units,
-    with_runs,
 )
-from ..estimate.multiposition.unseen_changes import unseen_changes
+from ..estimate.multiposition.triad_changes import change_by_one_cause
 from ..estimate.trust.changes import estimates_are_judged, look_or_postpone
 from ..estimate.trust.parts import RobustCovariance, robust_covariance
 from ..findings import Finding

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import SolveError
-from ..estimate.multiposition.drift import walk_precision, with_drift
+from ..estimate.multiposition.bias_functions import walk_precision, with_drift
 from ..estimate.multiposition.fit import weak_prior_sigma
+from ..estimate.multiposition.measurements import MotionSegments
 from ..estimate.multiposition.model import (
     B_,
     BG_,
@@ -27,9 +28,7 @@ from ..estimate.multiposition.model import (
     normal_equations,
 )
 from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
-from ..estimate.multiposition.problem import MultiPositionProblem
-from ..estimate.multiposition.rotations import MotionSegments
-from ..estimate.multiposition.scaling import to_physical_units
+from ..estimate.multiposition.problem import MultiPositionProblem, to_physical_units
 from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, skew, tangent_basis
 from ..recording import Floats
@@ -52,7 +51,7 @@ _TURN_S, _TURN_STEPS = 1.5, 24
 
 @value_class
 class NominalFit:
-    """What a fit would say of a sensor near to an ideal one; see `estimate.multiposition.scaling.Fitted`.
+    """What a fit would say of a sensor near to an ideal one; see `estimate.multiposition.problem.Fitted`.
 
     Attributes
     ----------

@@ -868,7 +868,7 @@ EXPORT void gnomon_corner_sums(int64_t e, int64_t m, const int64_t *start, const
     }
 }
 
-/* rotations from rates (estimate/multiposition/rotations.py) */
+/* rotations from rates (estimate/multiposition/measurements.py) */
 
 #define REGRESSORS 7 /* of a rate: the measured one, a one, the specific force */
 

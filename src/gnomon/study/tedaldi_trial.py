@@ -10,7 +10,7 @@ import numpy as np
 
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
-from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
+from ..estimate.multiposition.measurements import cut_segments, integrate_rates, propagate_directions, segments_between
 from ..frozen import field_names, value_class
 from ..geometry.rotation_vector import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope

@@ -14,9 +14,9 @@ from gnomon.estimate.multiposition.bias_changes import (
     gyroscope_changes,
     shares_before,
 )
-from gnomon.estimate.multiposition.bias_segments import with_bias_steps
+from gnomon.estimate.multiposition.bias_functions import with_bias_steps
+from gnomon.estimate.multiposition.evidence import unseen_changes
 from gnomon.estimate.multiposition.fit import fit_multiposition
-from gnomon.estimate.multiposition.unseen_changes import unseen_changes
 from gnomon.results.result import StaticIntervals, split_long
 
 N = 40

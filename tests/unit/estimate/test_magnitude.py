@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gnomon import InitialisationError
-from gnomon.estimate.multiposition import tedaldi
-from gnomon.estimate.multiposition.tedaldi import UPPER, ellipsoid_start, fit_magnitude
+from gnomon.estimate.multiposition import measurements
+from gnomon.estimate.multiposition.measurements import UPPER, ellipsoid_start, fit_magnitude
 
 GRAVITY = 9.79
 
@@ -98,8 +98,8 @@ def spied_problem(monkeypatch, *args, **options):
         seen.append((problem, solution))
         return solution
 
-    plain = tedaldi.levenberg_marquardt
-    monkeypatch.setattr(tedaldi, "levenberg_marquardt", spy)
+    plain = measurements.levenberg_marquardt
+    monkeypatch.setattr(measurements, "levenberg_marquardt", spy)
     fit = fit_magnitude(*args, **options)
     return *seen[0], fit
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gnomon.errors import InitialisationError
-from gnomon.estimate.multiposition.drift import walk_density, walk_precision, with_drift
+from gnomon.estimate.multiposition.bias_functions import walk_density, walk_precision, with_drift
+from gnomon.estimate.multiposition.evidence import leave_one_out
 from gnomon.estimate.multiposition.fit import fit_multiposition, start_state
-from gnomon.estimate.multiposition.leave_one_out import leave_one_out
+from gnomon.estimate.multiposition.measurements import integrate_rates, propagate_directions
 from gnomon.estimate.multiposition.model import (
     CG_,
     PARAMETERS,
@@ -18,8 +19,7 @@ from gnomon.estimate.multiposition.model import (
     linearize_model,
     normal_equations,
 )
-from gnomon.estimate.multiposition.rotations import integrate_rates, propagate_directions
-from gnomon.estimate.multiposition.scaling import Scaling, to_physical_units
+from gnomon.estimate.multiposition.problem import Scaling, to_physical_units
 from gnomon.geometry.rotation_vector import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.multiposition.drift import accelerometer_drifts, with_trend
+from gnomon.estimate.multiposition.bias_functions import accelerometer_drifts, with_trend
+from gnomon.estimate.multiposition.evidence import segment_sums
 from gnomon.estimate.multiposition.fit import fit_multiposition
-from gnomon.estimate.multiposition.scaling import segment_sums
 from gnomon.estimate.trust.clusters import (
     ClusterSums,
     _jackknife,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.multiposition.rotations import (
+from gnomon.estimate.multiposition.measurements import (
     MotionSegments,
     cut_segments,
     integrate_rates,

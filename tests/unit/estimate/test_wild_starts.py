@@ -14,7 +14,7 @@ from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameter
 from gnomon.estimate.camera_imu.start.alignment import Alignment
 from gnomon.estimate.camera_imu.start.board_poses import BoardPoses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_with_gravity
-from gnomon.estimate.multiposition.drift import walk_precision
+from gnomon.estimate.multiposition.bias_functions import walk_precision
 from gnomon.estimate.trust.clusters import Robust
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera

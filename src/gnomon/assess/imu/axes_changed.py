@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ...estimate.multiposition.problem import MultiPositionProblem, find_axes_change
+from ...estimate.multiposition.problem import MultiPositionProblem
+from ...estimate.multiposition.triad_changes import find_axes_change
 from ...findings import Finding, make_finding
 
 

@@ -4,13 +4,12 @@ import numpy as np
 
 from ...detect.samples.threshold import ThresholdTrial, allan_deviation, averaging_time
 from ...estimate.multiposition.bias_changes import BiasChanges
+from ...estimate.multiposition.evidence import LeaveOneOutErrors
 from ...estimate.multiposition.fit import MultiPositionFit
-from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors
+from ...estimate.multiposition.measurements import MotionSegments, integrate_rates, propagate_directions
 from ...estimate.multiposition.model import B_, BG_, PARAMETERS
 from ...estimate.multiposition.noise_levels import whitened_rest
-from ...estimate.multiposition.problem import MultiPositionProblem, TriadStream
-from ...estimate.multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
-from ...estimate.multiposition.scaling import ImuEstimate
+from ...estimate.multiposition.problem import ImuEstimate, MultiPositionProblem, TriadStream
 from ...estimate.trust.parts import Instability
 from ...findings import join_names, list_first
 from ...frozen import value_class

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...estimate.multiposition.change_causes import least_turn_seen
 from ...estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
 from ...estimate.multiposition.noise_levels import rotation_variance
-from ...estimate.multiposition.scaling import ImuEstimate
+from ...estimate.multiposition.problem import ImuEstimate
+from ...estimate.multiposition.triad_changes import least_turn_seen
 from ...estimate.trust.changes import estimates_are_judged
 from ...findings import Finding, make_finding
 from ...recording import Floats

@@ -20,9 +20,9 @@ from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdo
 from ...assess.imu.triad_verdict import unit_findings
 from ...assess.verdict import gravity_findings, with_verdict
 from ...detect.samples.threshold import resting_noise
-from ...estimate.multiposition.rotations import MotionSegments
-from ...estimate.multiposition.scaling import ImuEstimate
-from ...estimate.multiposition.tedaldi import RULES, UPPER, leave_group_out
+from ...estimate.multiposition.measurements import UPPER, MotionSegments
+from ...estimate.multiposition.problem import ImuEstimate
+from ...estimate.multiposition.tedaldi import RULES, leave_group_out
 from ...findings import make_finding
 from ...geometry.rotation_vector import invert_matrix
 from ...options import ImuOptions

@@ -5,13 +5,11 @@ import numpy as np
 from ...assess.imu.imu_tables import root_mean_square
 from ...detect.samples.rests import runs_below, variance_magnitude_squared, window_samples, window_variances
 from ...errors import DetectionError, InitialisationError
+from ...estimate.multiposition.measurements import UPPER, MagnitudeFit, MotionSegments, cut_segments, segments_between
 from ...estimate.multiposition.problem import gyroscope_intervals
-from ...estimate.multiposition.rotations import MotionSegments, cut_segments, segments_between
 from ...estimate.multiposition.tedaldi import (
     SAMPLES_PER_INTERVAL,
-    UPPER,
     GyroscopeFit,
-    MagnitudeFit,
     TedaldiRules,
     fit_gyroscope,
     fit_published_accelerometer,

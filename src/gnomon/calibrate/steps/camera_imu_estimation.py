@@ -31,7 +31,7 @@ from ...estimate.camera_imu.terms.inertial_data import InertialData, TriadData, 
 from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...estimate.camera_imu.trajectory import BIAS
 from ...estimate.multiposition.bias_changes import DECAYS
-from ...estimate.multiposition.bias_segments import BENDS_K, WEAK_LAG_S
+from ...estimate.multiposition.bias_functions import BENDS_K, WEAK_LAG_S
 from ...estimate.trust.changes import chi_square_tail, start_of_estimates
 from ...findings import Finding
 from ...frozen import value_class

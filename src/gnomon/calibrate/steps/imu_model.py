@@ -5,18 +5,17 @@ import numpy as np
 from ...assess.priors import SCALARS, Prior, Priors
 from ...errors import OptionError
 from ...estimate.multiposition.bias_changes import BiasChanges
-from ...estimate.multiposition.fit import Knowledge, MultiPositionFit, fit_multiposition
-from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors, leave_one_out
-from ...estimate.multiposition.model import MultiPositionState
-from ...estimate.multiposition.problem import MultiPositionProblem
-from ...estimate.multiposition.scaling import (
-    ImuEstimate,
-    blocks_of_scalars,
+from ...estimate.multiposition.evidence import (
+    LeaveOneOutErrors,
+    as_table,
     free_jacobian,
+    imu_models,
+    leave_one_out,
     segment_sums,
-    sensor_scalars,
 )
-from ...estimate.multiposition.steps import as_table, imu_models
+from ...estimate.multiposition.fit import Knowledge, MultiPositionFit, fit_multiposition
+from ...estimate.multiposition.model import MultiPositionState
+from ...estimate.multiposition.problem import ImuEstimate, MultiPositionProblem, blocks_of_scalars, sensor_scalars
 from ...estimate.trust.changes import estimates_are_judged
 from ...estimate.trust.clusters import correlation_time, group_into_clusters, leave_clusters_out
 from ...frozen import value_class

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.imu.bias_steps import slope_finding
-from ...estimate.multiposition.drift import FEWEST_FOR_COURSE, bias_course
+from ...estimate.temperature.bias_course import FEWEST_FOR_COURSE, bias_course
 from ...estimate.triads.field_poses import FieldPoses
 from ...estimate.triads.magnetometer import MagnetometerFit, drift_over, drift_rows, field_windows
 from ...frozen import value_class

@@ -18,8 +18,8 @@ from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.threshold import resting_noise
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
+from ...estimate.multiposition.measurements import cut_segments, segments_between
 from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked
-from ...estimate.multiposition.rotations import cut_segments, segments_between
 from ...estimate.triads.rotation_sensitivity import RestRotations
 from ...findings import Finding
 from ...frozen import value_class

@@ -16,8 +16,7 @@ from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.threshold import RestDetection, resting_noise
 from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
-from ...estimate.multiposition.problem import TriadStream
-from ...estimate.multiposition.scaling import ImuEstimate
+from ...estimate.multiposition.problem import ImuEstimate, TriadStream
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import nearest_rotation

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.temperature_checks import CHIP_DEGC
-from ...estimate.multiposition.bias_segments import temperature_columns
+from ...estimate.multiposition.bias_functions import temperature_columns
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...frozen import value_class

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
+from ...estimate.multiposition.measurements import MagnitudeFit, fit_magnitude
 from ...estimate.multiposition.problem import TriadStream, rest_means
-from ...estimate.multiposition.tedaldi import MagnitudeFit, fit_magnitude
 from ...estimate.trust.changes import estimates_are_judged
 from ...frozen import value_class
 from ...progress import tell_parts

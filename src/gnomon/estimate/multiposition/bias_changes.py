@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import InitialisationError
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from .tedaldi import fit_magnitude
+from .measurements import fit_magnitude
 
 _MARGIN = 5.0  # of log-likelihood beyond the length of the description: one false alarm in some hundred recordings
 _MOST = 8  # changes

@@ -18,16 +18,20 @@ from ...results.result import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from ...units import STANDARD_GRAVITY_M_S2
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
-from .bias_segments import with_bias_steps, with_temperature, with_warm_up, without_rates
-from .drift import (
+from .bias_functions import (
     accelerometer_drifts,
     walk_density,
     walk_precision,
     with_accelerometer_drift,
+    with_bias_steps,
     with_drift,
+    with_temperature,
     with_trend,
+    with_warm_up,
     without_functions,
+    without_rates,
 )
+from .measurements import fit_magnitude, linear_start
 from .model import (
     B_,
     BG_,
@@ -44,8 +48,6 @@ from .model import (
     normal_equations,
 )
 from .noise_levels import ExtraVariance, estimate_extra_variance, rotation_variance, whitened_rest, with_sampling_error
-from .rotations import linear_start
-from .tedaldi import fit_magnitude
 
 _MOST_ITERATIONS = 30
 _NEGLIGIBLE_STEP = 1e-4  # of a sigma; Gauss-Newton's next step would be a thousand times smaller

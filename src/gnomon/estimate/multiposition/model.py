@@ -21,7 +21,7 @@ from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats, Integers
 from ...solve.arrow import ArrowSystem, column_products
 from .bias_changes import RestMeans
-from .rotations import MotionSegments, integrate_rates, propagate_directions
+from .measurements import MotionSegments, integrate_rates, propagate_directions
 
 LOWER = np.tril_indices(3)
 PARAMETERS = 30

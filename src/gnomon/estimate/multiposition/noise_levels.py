@@ -19,8 +19,8 @@ from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
 from ...results.result import Booleans
 from ...solve.arrow import ArrowSolution
+from .measurements import MotionSegments, integrate_rates
 from .model import MultiPositionData, MultiPositionLinearization, MultiPositionState, Whitening
-from .rotations import MotionSegments, integrate_rates
 
 _ORDER = 3.0  # error with every second sample over that with all, less one
 _SURE = 4.0  # sigmas of chi-square

@@ -1,42 +1,50 @@
-"""From a recording and its static intervals to the multi-position problem.
+"""From a recording and its static intervals to the multi-position problem in scaled units, and back to the sensors'.
 
-And where, half-way in a recording, axes began to be along others, or the gyroscope to show another share of a rotation.
-
-Each rotation between two rests should lead gravity from where it was read before to where it is read after. Which way
-the gyroscope's axes stand to the accelerometer's, and how much of a rotation it shows, is tried for all rotations;
-where no one way explains them, two do, one up to some rotation and another one after it.
+Every axis is centred and divided by its spread, so that offsets and scales of any size are the same problem.
 """
 
-from itertools import permutations, product
+from typing import Protocol
 
 import numpy as np
 
 from ...frozen import value_class
-from ...recording import Floats, Integers
+from ...models.gravity import EARTH_RATE_RAD_S
+from ...recording import Floats, Integers, frozen_array
 from ...results.result import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
-from .model import MultiPositionData
-from .rotations import MotionSegments, cut_segments, integrate_rates, segment_moments, segments_between
-from .scaling import Scaling
-from .tedaldi import fit_magnitude
+from .measurements import MotionSegments, cut_segments, segments_between
+from .model import B_, BG_, CG_, G_, LOWER, S_, MultiPositionData, MultiPositionState
 
 _LONGEST_GAP_S = 0.05
 _LONGEST_GAP_PERIODS = 3.5
 _PARTS_OF_A_REST = 8  # most of them, between which a bias is looked at
-_LEAST_TILT = 0.5  # of gravity's unit vector; what turns about the vertical more than that tells too little
-_SIGNED = np.array([
-    np.eye(3)[list(order)] * np.array(signs)[:, None]
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-])  # fmt: skip
-"""The 48 ways in which three axes can be along three others; of them the first one is as they are."""
-_ALONG = 0.85  # cosine between what gravity did and what the gyroscope showed, of rotations that tell its scale
-_NEAR, _REVERSED = np.cos(np.radians([25.0, 155.0]))  # raw scales and axes are off by some per cent
-_FEWEST, _MOSTLY = 2, 0.9  # rotations on either side that only one way explains; share that it must explain
-_FACTOR, _FACTORS = 1.6, 25  # ranges differ by two; shares of a rotation that are tried
-_WORSE = 2.0  # times that gravity scatters more, from which on reversed axes do not explain it
-_ACROSS = 0.7  # cosine to where a turn began, in its middle
-_FINE = np.linspace(0.8, 1.25, 10)
+
+
+@value_class
+class Scaling:
+    """scaled = (measured - centre) / spread, axis by axis.
+
+    Attributes
+    ----------
+    centre, spread : (3,) [unit]
+    """
+
+    centre: Floats
+    spread: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen_array(self.centre))
+        object.__setattr__(self, "spread", frozen_array(self.spread))
+
+    @classmethod
+    def of(cls, centre: Floats, deviations: Floats) -> "Scaling":
+        """Return the scaling with a given centre and the rms of deviations (n, 3) as spread."""
+        spread = np.sqrt(np.mean(deviations**2, axis=0)) if len(deviations) else np.ones(3)
+        return cls(centre=centre, spread=np.where(spread > 0, spread, 1.0))
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return scaled values (n, 3)."""
+        return (values - self.centre) / self.spread
 
 
 @value_class
@@ -238,156 +246,149 @@ def why_unlinked(t_s: Floats, saturated: Booleans, rate_hz: float, part: slice) 
 
 
 @value_class
-class AxesChange:
-    """Where the axes of a triad, or the gyroscope's scale, began to be others.
+class ImuEstimate:
+    """An IMU's parameters in the sensors' units, in frame accel-x, with their covariance.
 
     Attributes
     ----------
-    row : rotation in which they did
-    triad : "accelerometer", "gyroscope", or either where they could be of both
-    after : (3, 3) signed permutation: what its axes read from then on, of what they would have read before
-    factor : what the gyroscope shows of a rotation then, over what it had shown before
+    accelerometer_sensitivity : (3, 3) [unit per m/s^2]
+    accelerometer_bias : (3,) [unit]
+    gyroscope_sensitivity : (3, 3) [unit per rad/s]
+    gyroscope_bias : (3,) [unit]
+    g_sensitivity : (3, 3) [unit per m/s^2]
+    covariance : (33, 33), elements in the order of the attributes, matrices in row order
     """
 
-    row: int
-    triad: str
-    after: Floats
-    factor: float = 1.0
+    accelerometer_sensitivity: Floats
+    accelerometer_bias: Floats
+    gyroscope_sensitivity: Floats
+    gyroscope_bias: Floats
+    g_sensitivity: Floats
+    covariance: Floats
+
+    @property
+    def values(self) -> Floats:
+        """All scalars (33,), in the order of the covariance."""
+        parts = (
+            self.accelerometer_sensitivity,
+            self.accelerometer_bias,
+            self.gyroscope_sensitivity,
+            self.gyroscope_bias,
+            self.g_sensitivity,
+        )
+        return np.concatenate([part.ravel() for part in parts])
 
 
-@value_class
-class _Turns:
-    """Rotations as both triads show them.
+class Fitted(Protocol):
+    """What a fit says in scaled units: the state, the covariance (30, 30), and which parameters were estimated."""
 
-    Attributes
-    ----------
-    problem : they are of
-    path : (n, 3) direction of what the accelerometer reads at the samples of the segments
-    u : (m + 1, 3) direction of gravity before and after
-    felt : (48, m, 3) change of u by the gyroscope for each way of `_SIGNED` [its unit per rad/s]
+    @property
+    def state(self) -> MultiPositionState:
+        """Where it stands."""
+        ...
+
+    @property
+    def covariance(self) -> Floats:
+        """Of theta."""
+        ...
+
+    @property
+    def free(self) -> Booleans:
+        """Whether each of theta was estimated."""
+        ...
+
+
+def to_physical_units(
+    fit: Fitted,
+    accelerometer: Scaling,
+    gyroscope: Scaling,
+    *,
+    gravity_m_s2: float,
+    gravity_sigma_m_s2: float,
+    latitude_deg: float | None,
+) -> ImuEstimate:
+    """Return the fit in the sensors' units.
+
+    The uncertainty of gravity goes to the sensitivities, which are proportional to 1 / g. The vertical part of the
+    earth's rate turns with the attitude like gravity and hides in the g-sensitivity: it is taken off where the latitude
+    is known, and is part of the sigma where it is not.
     """
-
-    problem: MultiPositionProblem
-    path: Floats
-    u: Floats
-    felt: Floats
-
-    def passes_through(self, row: int) -> bool:
-        """Return whether the accelerometer was turned, rather than reversed from one sample to the next."""
-        first, length = self.problem.data.segments.first[row], self.problem.data.segments.lengths[row]
-        return bool(np.sum(np.abs(self.path[first : first + length] @ self.u[row]) < _ACROSS) > 1)
-
-    def cosines_and_factors(self) -> tuple[Floats, Floats]:
-        """Return how well and how much of gravity's turn each way shows, (48, m) each; 0 where it hardly turned."""
-        change = np.diff(self.u, axis=0)
-        square = np.maximum(np.sum(change**2, axis=1), 1e-300)
-        along = np.einsum("pkc,kc->pk", self.felt, change)
-        length = np.maximum(np.linalg.norm(self.felt, axis=2) * np.sqrt(square), 1e-300)
-        return np.where(square > _LEAST_TILT**2, along / length, 0.0), along / square
-
-    def predicted(self, way: int, factor: float) -> Floats:
-        """Return gravity's direction after each rotation as the gyroscope leads to it, (m, 3)."""
-        rates = _rates(self.problem) @ _SIGNED[way].T / factor
-        rotation = integrate_rates(self.problem.data.segments, rates).rotation
-        return np.einsum("kji,kj->ki", rotation, self.u[:-1])
-
-
-def _turns_of(problem: MultiPositionProblem) -> _Turns:
-    """Return what the triads showed of each rotation, roughly.
-
-    Gravity's direction u turns by u' = -omega x u in the body, so that of readings y = s omega the integral of -y x u
-    is s times the change of u, with u all along the motion as the accelerometer has it: but for a fifth or so, without
-    any guess, and without the ambiguity of whole turns. See `linear_start`.
-    """
-    data, segments = problem.data, problem.data.segments
-    fit = fit_magnitude(data.accelerometer, 1.0)
-    u_path, u = (
-        _directions((read - fit.bias) @ fit.correction.T) for read in (segments.accelerometer, data.accelerometer)
+    values, jacobian = sensor_scalars(
+        fit.state, accelerometer, gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
     )
-    sums = segment_moments(segments, _rates(problem), u_path)
-    by_axes = -np.cross(np.eye(3)[None, None], sums[:, :, None])  # of axis a along j: -e_j x (sum of y_a u)
-    return _Turns(problem=problem, path=u_path, u=u, felt=np.einsum("pja,kajc->pkc", _SIGNED, by_axes))
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    estimated = bool(fit.free[G_].any())
+    if not estimated:
+        values[24:] = 0.0
+    by_gravity = np.zeros(33)
+    by_gravity[:9], by_gravity[24:] = -values[:9] / gravity_m_s2, -values[24:] / gravity_m_s2
+    covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
+    if estimated and latitude_deg is None:
+        by_earth = np.zeros(33)
+        by_earth[24:] = values[12:21] / gravity_m_s2
+        covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
+    return ImuEstimate(
+        accelerometer_sensitivity=values[:9].reshape(3, 3),
+        accelerometer_bias=values[9:12],
+        gyroscope_sensitivity=values[12:21].reshape(3, 3),
+        gyroscope_bias=values[21:24],
+        g_sensitivity=values[24:].reshape(3, 3),
+        covariance=covariance,
+    )
 
 
-def _rates(problem: MultiPositionProblem) -> Floats:
-    """Return the gyroscope's readings in motion less those at rest on either side, whose bias may differ [unit]."""
-    data, segments = problem.data, problem.data.segments
-    at_rest = 0.5 * (data.gyroscope[:-1] + data.gyroscope[1:])
-    return (segments.gyroscope - np.repeat(at_rest, segments.lengths, axis=0)) * problem.gyroscope.spread
+def blocks_of_scalars(values: Floats) -> tuple[tuple[str, Floats, str], ...]:
+    """Return of each block of scalars (33,) its path, the factors (33,) by which it is shown, and the unit of that.
+
+    Sensitivities are shown as shares of the axis' own, biases and g-sensitivity as what they make of the rate or force.
+    """
+    force, rate = (np.linalg.norm(values[part].reshape(3, 3), axis=1) for part in (slice(0, 9), slice(12, 21)))
+    shares = {
+        "imu0.accelerometer.sensitivity": (slice(0, 9), 100 / np.repeat(force, 3), "%"),
+        "imu0.accelerometer.bias": (slice(9, 12), 1 / force, "m/s^2"),
+        "imu0.gyroscope.sensitivity": (slice(12, 21), 100 / np.repeat(rate, 3), "%"),
+        "imu0.gyroscope.bias": (slice(21, 24), 1 / rate, "rad/s"),
+        "imu0.gyroscope.g_sensitivity": (slice(24, 33), 1 / np.repeat(rate, 3), "rad/s per m/s^2"),
+    }
+    found: list[tuple[str, Floats, str]] = []
+    for path, (part, share, unit) in shares.items():
+        factor = np.zeros(len(values))
+        factor[part] = share
+        found.append((path, factor, unit))
+    return tuple(found)
 
 
-def _directions(vectors: Floats) -> Floats:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
+def sensor_scalars(
+    state: MultiPositionState,
+    accelerometer: Scaling,
+    gyroscope: Scaling,
+    *,
+    gravity_m_s2: float,
+    latitude_deg: float | None,
+) -> tuple[Floats, Floats]:
+    """Return the scalars (33,) in the sensors' units, in the order of `ImuEstimate.covariance`, and their derivative.
 
-
-def find_axes_change(problem: MultiPositionProblem) -> AxesChange | None:
-    """Return the one rotation from which on axes are along others, or the gyroscope's scale is another; else None."""
-    turns = _turns_of(problem)
-    cosine, factors = turns.cosines_and_factors()
-    alike = cosine > _ALONG
-    usual = int(np.argmax(cosine.sum(axis=1)))
-    if alike[usual].sum() < _FEWEST:
-        return None
-    linked = np.array([not why for why in problem.unlinked], dtype=bool)
-    own = factors[usual][alike[usual]]
-    rough = usual, float(np.median(own))
-    predicted = turns.predicted(*rough)
-    if (np.sum(predicted * turns.u[1:], axis=1) < _NEAR).any():
-        predicted = turns.predicted(usual, _refined(turns, rough, slice(None)))
-    agree = np.sum(predicted * turns.u[1:], axis=1)
-    off, reverse = np.flatnonzero((agree < _NEAR) & linked), np.flatnonzero((agree < _REVERSED) & linked)
-    if len(reverse) == 1 and len(off) <= 1 + (1 - _MOSTLY) * len(agree):
-        row = int(reverse[0])
-        unseen = float(predicted[row] @ turns.u[row]) > _NEAR and turns.passes_through(row)
-        read = problem.data.accelerometer * problem.accelerometer.spread + problem.accelerometer.centre
-        if unseen or not _fits_reversed(read, row):
-            return None
-        return AxesChange(row=row, triad="accelerometer", after=-np.eye(3))
-    if len(off) < _FEWEST:
-        return None
-    ways = [(way, float(np.median(factors[way][alike[way]]))) for way in range(len(_SIGNED)) if alike[way].any()]
-    ways += [(usual, factor) for factor in np.quantile(own, np.linspace(0, 1, _FACTORS)).tolist()]
-    return _change_between(turns, ways, linked)
-
-
-def _fits_reversed(read: Floats, row: int) -> bool:
-    """Return whether means at rest fit with those behind a rotation reversed, bias and all; else files were joined."""
-    errors: list[float] = []
-    for signed in (read, np.concatenate([read[: row + 1], -read[row + 1 :]])):
-        fit = fit_magnitude(signed, 1.0)
-        errors.append(float(np.std(np.linalg.norm((signed - fit.bias) @ fit.correction.T, axis=1))))
-    return errors[1] < _WORSE * errors[0]
-
-
-def _change_between(turns: _Turns, ways: list[tuple[int, float]], linked: Booleans) -> AxesChange | None:
-    """Return the change that splits the rotations into some that agree with one way, and some with another."""
-    predicted = np.array([turns.predicted(*way) for way in ways])
-    agree = np.where(linked, np.einsum("pki,ki->pk", predicted, turns.u[1:]), 0.0)
-    sums = np.concatenate([np.zeros((len(ways), 1)), np.cumsum(agree, axis=1)], axis=1)
-    before, after = sums[:, :-1], sums[:, -1:] - sums[:, 1:]
-    row = int(np.argmax(before.max(axis=0) + after.max(axis=0)))
-    one, other = int(np.argmax(before[:, row])), int(np.argmax(after[:, row]))
-    sides = slice(0, row), slice(row + 1, None)
-    for side, own, foreign in ((sides[0], one, other), (sides[1], other, one)):
-        near, far = agree[own, side] > _NEAR, agree[foreign, side] < _NEAR
-        if np.sum(near & far) < _FEWEST or np.mean(near[linked[side]]) < _MOSTLY:
-            return None
-    first, second = _SIGNED[ways[one][0]], _SIGNED[ways[other][0]]
-    turned = second @ first.T
-    if ways[one][0] == ways[other][0]:
-        factor = _refined(turns, ways[other], sides[1]) / _refined(turns, ways[one], sides[0])
-        changed = max(factor, 1 / factor) > _FACTOR
-        return AxesChange(row=row, triad="gyroscope", after=np.eye(3), factor=factor) if changed else None
-    if np.linalg.det(turned) < 0:  # as a change of the accelerometer's axes cannot look
-        return AxesChange(row=row, triad="gyroscope", after=second.T @ first)
-    for axes in (turned, -turned):
-        if float(turns.u[row + 1] @ axes @ predicted[one, row]) > _NEAR:
-            return AxesChange(row=row, triad="accelerometer", after=axes)
-    return AxesChange(row=row, triad="gyroscope or the accelerometer", after=second.T @ first)
-
-
-def _refined(turns: _Turns, way: tuple[int, float], side: slice) -> float:
-    """Return the factor near that of a way that explains the rotations of one side best."""
-    fits = [np.sum((turns.predicted(way[0], f * way[1]) * turns.u[1:])[side]) for f in _FINE]
-    return way[1] * float(_FINE[int(np.argmax(fits))])
+    The derivative (33, 30) is by the scaled parameters theta.
+    """
+    s, b, c_g, b_g, g = state.matrices
+    s_g = np.linalg.inv(c_g) if np.any(c_g) else np.zeros((3, 3))
+    da, dg = accelerometer.spread, gyroscope.spread
+    vertical = EARTH_RATE_RAD_S * np.sin(np.radians(latitude_deg)) if latitude_deg is not None else 0.0
+    gyro_sensitivity = dg[:, None] * s_g
+    values = np.concatenate(
+        [
+            (da[:, None] * s / gravity_m_s2).ravel(),
+            da * b + accelerometer.centre,
+            gyro_sensitivity.ravel(),
+            dg * b_g + gyroscope.centre,
+            (dg[:, None] * g / gravity_m_s2 - gyro_sensitivity * vertical / gravity_m_s2).ravel(),
+        ]
+    )
+    jacobian = np.zeros((33, 30))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        jacobian[3 * i + j, S_.start + column] = da[i] / gravity_m_s2
+    jacobian[9:12, B_] = np.diag(da)
+    jacobian[12:21, CG_] = -np.kron(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
+    jacobian[21:24, BG_] = np.diag(dg)
+    jacobian[24:33, G_] = np.kron(np.diag(dg), np.eye(3)) / gravity_m_s2
+    return values, jacobian

@@ -19,7 +19,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, skew, tangent_basis
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ..multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
+from ..multiposition.measurements import MotionSegments, integrate_rates, propagate_directions
 
 _ROUNDS = 15
 _OUTLYING = 4.0  # sigma of a rotation beyond which it counts by its size, not by its square

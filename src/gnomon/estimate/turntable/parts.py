@@ -23,7 +23,7 @@ from ...options import StatedRate
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.sensors import TemperatureDependence
-from ..multiposition.drift import walk_density
+from ..multiposition.bias_functions import walk_density
 
 _ACROSS = 0.08  # share of the rate that may lie across the axis while the platter takes up its speed
 _ACROSS_NOISE = 6.0

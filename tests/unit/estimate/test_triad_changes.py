@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.multiposition.change_causes import triad_causes
+from gnomon.estimate.multiposition.triad_changes import triad_causes
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
