@@ -8,9 +8,14 @@ import numpy as np
 from camera_imu_reference import Problem
 from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState
 from gnomon.estimate.camera_imu.layout import border_layout, parameter_blocks
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
+from gnomon.estimate.camera_imu.parameters import (
+    BoardPoints,
+    CameraParameters,
+    ImuParameters,
+    RigParameters,
+    gravity_axes,
+)
 from gnomon.estimate.camera_imu.start.first_guess import per_corner
-from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
 from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
 from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, exposure_times

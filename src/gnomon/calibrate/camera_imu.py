@@ -37,15 +37,9 @@ from ..assess.weak_findings import (
 from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.layout import Status
-from ..estimate.camera_imu.result.filter_response import with_misfits
-from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
-from ..estimate.camera_imu.result.publish import publish_rig, recording_trust
-from ..estimate.camera_imu.result.uncertainty import (
-    Uncertainty,
-    solution_uncertainty,
-    with_detector_scale,
-    with_next_term,
-)
+from ..estimate.camera_imu.result.misfits import with_misfits, with_next_term
+from ..estimate.camera_imu.result.publish import moved_to_origins, publish_rig, recording_trust, single_place_origins
+from ..estimate.camera_imu.result.uncertainty import Uncertainty, solution_uncertainty, with_detector_scale
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
@@ -194,7 +188,9 @@ def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) ->
     prepared = replace(prepared, findings=(*prepared.findings, *ends))
     try:
         found = align_cameras(recording.cameras, target, prepared.origin_ns, streams[0])
-        beside = align_imus(found, streams, list(recording.imus.items()), prepared.epochs_s)
+        beside = ()
+        if len(streams) > 1:
+            beside = align_imus(found, streams, list(recording.imus.items()), prepared.epochs_s)
     except InitialisationError as error:
         refuse_clock_jumps(prepared, recording.cameras, target, streams)
         raise InitialisationError(f"{error}{likely_cause(prepared.findings)}") from error

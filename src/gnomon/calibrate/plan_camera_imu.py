@@ -10,7 +10,6 @@ from ..errors import OptionError
 from ..estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
 from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.gauss_newton import gauss_newton_step
-from ..estimate.camera_imu.knots import DEFAULT_PER_S, KNOTS_PER_PERIOD, LARGEST_SHARE
 from ..estimate.camera_imu.layout import border_layout
 from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from ..estimate.camera_imu.result.publish import publish_rig
@@ -19,7 +18,14 @@ from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.board_poses import gather_exposures
 from ..estimate.camera_imu.start.first_guess import per_corner
 from ..estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
-from ..estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
+from ..estimate.camera_imu.terms.inertial_data import (
+    DEFAULT_PER_S,
+    KNOTS_PER_PERIOD,
+    LARGEST_SHARE,
+    InertialData,
+    InertialNoise,
+    TriadData,
+)
 from ..estimate.camera_imu.terms.visual_terms import VisualData
 from ..estimate.camera_imu.trajectory import Trajectory
 from ..models.noise import ImuNoise

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from gnomon.assess.weak_findings import added_findings
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
-from gnomon.estimate.camera_imu.terms.board_terms import BoardPoints
+from gnomon.estimate.camera_imu.parameters import (
+    BoardPoints,
+    CameraParameters,
+    ImuParameters,
+    RigParameters,
+    gravity_axes,
+)
 from gnomon.models.camera import Camera
 
 

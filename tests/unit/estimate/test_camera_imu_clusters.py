@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from camera_imu_problem import problem
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
-from gnomon.estimate.camera_imu.result.cluster_sums import bias_sides, cluster_sums
+from gnomon.estimate.camera_imu.result.uncertainty import bias_sides, cluster_sums
 from gnomon.estimate.camera_imu.solution import Solution
 from gnomon.estimate.camera_imu.trajectory import POSE
 

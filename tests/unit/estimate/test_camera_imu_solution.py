@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.estimate.camera_imu import knots
+from gnomon.estimate.camera_imu import batch
 from gnomon.estimate.camera_imu.gauss_newton import Iteration
 from gnomon.estimate.camera_imu.solution import _stalled  # pyright: ignore[reportPrivateUsage]
 
@@ -73,8 +73,8 @@ def test_biases_that_bend_less_often_change_nothing_that_counts(walks, monkeypat
     simulation = simulate_camera_imu(CameraImuScenario(duration_s=8.0, **stated), 5)
     options = CameraImuOptions(gravity=9.80665, model="full", compare=True)
     found = []
-    for limit in (knots._STRAYS, 0.0):  # pyright: ignore[reportPrivateUsage]
-        monkeypatch.setattr(knots, "_STRAYS", limit)
+    for limit in (batch._STRAYS, 0.0):  # pyright: ignore[reportPrivateUsage]
+        monkeypatch.setattr(batch, "_STRAYS", limit)
         found.append(calibrate_camera_imu(simulation.recording, simulation.target, options))
     free = found[1].calibration
     paths = ("imu0.gyroscope.sensitivity", "imu0.accelerometer.sensitivity", "cam0.T_cam_imu.translation")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.result.filter_response import expected_square
+from gnomon.estimate.camera_imu.result.misfits import expected_square
 
 SHARE, USUAL_S2 = 0.2, 32e-6
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.result.residual_patterns import (
+from gnomon.estimate.camera_imu.result.misfits import (
     CountingCorners,
     _pattern,
     along_board,

@@ -10,8 +10,7 @@ from cameras_example import cameras_calibration
 from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
-from gnomon.estimate.camera_imu.rig_prior import from_known, pose_residual
-from gnomon.estimate.camera_imu.terms.assembly import border_priors
+from gnomon.estimate.camera_imu.terms.assembly import border_priors, from_known, pose_residual
 from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions

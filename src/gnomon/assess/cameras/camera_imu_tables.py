@@ -7,13 +7,12 @@ import numpy as np
 from ...estimate.camera_imu.batch import RigState
 from ...estimate.camera_imu.choices import estimation_choices
 from ...estimate.camera_imu.layout import block_coordinates, parameter_blocks
-from ...estimate.camera_imu.parameters import RigParameters
-from ...estimate.camera_imu.result.publish import PublishedRig
-from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertain_gravity
+from ...estimate.camera_imu.parameters import OFFSETS, RigParameters
+from ...estimate.camera_imu.result.publish import PublishedRig, with_uncertain_gravity
+from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import Solution, frame_mean_square
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
-from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import (
     ImuBeforehand,
     InertialData,

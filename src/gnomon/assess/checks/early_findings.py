@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...estimate.camera_imu.result.residual_patterns import (
+from ...estimate.camera_imu.result.misfits import (
     CountingCorners,
     ResidualPattern,
     board_evidence,

@@ -10,7 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ...errors import GnomonError
-from ...estimate.camera_imu.result.residual_patterns import along_board, common_pattern
+from ...estimate.camera_imu.result.misfits import along_board, common_pattern
 from ...estimate.cameras.rig import RigSolution
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.trust.clusters import CandidateBlock, CandidateStep, model_steps

@@ -8,15 +8,13 @@ import numpy as np
 from ...assess.imu.bias_steps import slope_finding
 from ...assess.weak_findings import comparison_left_out
 from ...errors import OptionError, SolveError
-from ...estimate.camera_imu.batch import Measurements, RigState
+from ...estimate.camera_imu.batch import Measurements, RigState, with_tied_biases
 from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances
-from ...estimate.camera_imu.knots import knots_per_s, with_tied_biases
 from ...estimate.camera_imu.layout import Status, border_layout
 from ...estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from ...estimate.camera_imu.result.bias_temperature import biases_along, control_times
 from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import GATE, Solution, minimise_cost
-from ...estimate.camera_imu.start.accelerometer_delay import accelerometer_delay
 from ...estimate.camera_imu.start.first_guess import (
     CameraAlignment,
     ImuStream,
@@ -25,11 +23,16 @@ from ...estimate.camera_imu.start.first_guess import (
     first_state,
     per_corner,
 )
-from ...estimate.camera_imu.start.imu_alignment import ImuAlignment, first_imu, with_stated_pose
-from ...estimate.camera_imu.start.initial_trajectory import MARGIN_S
-from ...estimate.camera_imu.terms.inertial_data import InertialData, TriadData, on_trajectory, triad_readings
+from ...estimate.camera_imu.start.imu_alignment import ImuAlignment, accelerometer_delay, first_imu, with_stated_pose
+from ...estimate.camera_imu.terms.inertial_data import (
+    InertialData,
+    TriadData,
+    knots_per_s,
+    on_trajectory,
+    triad_readings,
+)
 from ...estimate.camera_imu.terms.visual_terms import VisualData
-from ...estimate.camera_imu.trajectory import BIAS
+from ...estimate.camera_imu.trajectory import BIAS, MARGIN_S
 from ...estimate.multiposition.bias_changes import DECAYS
 from ...estimate.multiposition.bias_functions import BENDS_K, WEAK_LAG_S
 from ...estimate.trust.changes import chi_square_tail, start_of_estimates

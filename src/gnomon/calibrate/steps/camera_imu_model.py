@@ -30,12 +30,11 @@ from ...estimate.camera_imu.choices import (
 )
 from ...estimate.camera_imu.gauss_newton import apply_step, gauss_newton_step, step_by
 from ...estimate.camera_imu.layout import BorderLayout, border_layout
-from ...estimate.camera_imu.parameters import RigParameters
-from ...estimate.camera_imu.result.cluster_sums import cluster_sums
-from ...estimate.camera_imu.result.residual_patterns import board_evidence, counting_corners
+from ...estimate.camera_imu.parameters import OFFSETS, RigParameters
+from ...estimate.camera_imu.result.misfits import board_evidence, counting_corners
+from ...estimate.camera_imu.result.uncertainty import cluster_sums
 from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
-from ...estimate.camera_imu.terms.board_terms import OFFSETS
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
 from ...estimate.trust.changes import postpone_search
 from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters, leave_clusters_out

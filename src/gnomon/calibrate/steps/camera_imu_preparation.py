@@ -18,12 +18,12 @@ from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels
 from ...estimate.camera_imu.parameters import ImuParameters
 from ...estimate.camera_imu.result.uncertainty import Uncertainty
-from ...estimate.camera_imu.rig_prior import from_known
 from ...estimate.camera_imu.solution import Solution
 from ...estimate.camera_imu.start.alignment import Alignment, gyroscope_integral
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses
 from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream
 from ...estimate.camera_imu.start.imu_alignment import ImuAlignment
+from ...estimate.camera_imu.terms.assembly import from_known
 from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, TriadData
 from ...findings import Finding, make_finding
 from ...frozen import value_class

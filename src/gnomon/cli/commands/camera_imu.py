@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ...errors import OptionError
 from ...options import CameraImuOptions, FrameSelection
-from ...simulate import CameraImuScenario, RoomScenario
+from ...simulate.scenarios.camera_imu import CameraImuScenario, RoomScenario
 from ...units import Units
 from ..command import (
     Cache,

@@ -1,4 +1,4 @@
 """Camera-IMU calibration by continuous-time batch estimation (Krebs).
 
-board_poses -> alignment -> knots -> trajectory -> (inertial_terms, visual_terms -> normal equations) -> batch
+board_poses -> alignment -> first_guess -> (inertial_terms, visual_terms -> normal equations) -> batch -> solution
 """

@@ -13,6 +13,7 @@ for the trace, and what was stated counts as a few further ones.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,6 +41,10 @@ _LARGEST = 30.0
 
 _FASTER = 1.5
 """Exponent of the step to the found level: alone it goes two thirds of the way, since what a walk may absorb grows."""
+
+
+_STRAYS = 0.1
+"""Sigmas of the mean between two bends of a bias, by which it may stray from the straight line."""
 
 
 @value_class(eq=True)
@@ -128,6 +133,27 @@ class NoiseLevels:
     pixel_sigma: tuple[float, ...]
     huber: float
     lasting: bool = False
+
+
+def with_tied_biases(trajectory: Trajectory, noise: NoiseLevels, rates_hz: Sequence[tuple[float, float]]) -> Trajectory:
+    """Return the trajectory, its biases bending less often where their walks are far below the readings' noise.
+
+    Between bends T apart a random walk strays by half of its sigma sqrt(T) from the straight line, while readings tell
+    the mean over T to their density / sqrt(T).
+
+    Parameters
+    ----------
+    rates_hz : of gyroscope and accelerometer of each IMU
+    """
+    grid = trajectory.grid
+    apart_s = grid.spacing_s * (grid.order - 1)
+    strays = [
+        0.5 * walk * apart_s / (sigma / rate**0.5)
+        for levels, walks, rates in zip(noise.imus, noise.walks, rates_hz, strict=True)
+        for sigma, walk, rate in zip((levels.gyroscope, levels.accelerometer), walks, rates, strict=True)
+    ]
+    tied = len(grid.segments) == 1 and grid.order > 2 and max(strays) < _STRAYS
+    return replace(trajectory, grid=replace(grid, tied=tied))
 
 
 @value_class

@@ -12,8 +12,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers, KnownRig
-from .parameters import CameraParameters, ImuParameters, RigParameters
-from .terms.board_terms import OFFSETS
+from .parameters import OFFSETS, CameraParameters, ImuParameters, RigParameters
 
 Status = Literal["estimated", "prior", "fixed"]
 

@@ -22,6 +22,10 @@ BIAS = 6
 """Bias scalars of one IMU at a knot: gyroscope, accelerometer."""
 
 
+MARGIN_S = 0.1
+"""How far the trajectory reaches beyond the first and the last frame, where the IMU does."""
+
+
 @value_class
 class Segment:
     """A piece of the trajectory.

@@ -10,7 +10,7 @@ from ...geometry.rotation_vector import rotation_from_rotvec, skew
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ..camera_imu.terms.board_terms import BoardPoints
+from ..camera_imu.parameters import BoardPoints
 from ..camera_imu.terms.corner_sums import TWIST
 from .rig import BoardShape, CameraRig
 

@@ -28,8 +28,7 @@ from ....recording import CameraFrames, Floats
 from ..batch import RigState
 from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status
-from ..parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
-from ..terms.board_terms import BoardPoints
+from ..parameters import BoardPoints, CameraParameters, ImuParameters, RigParameters, gravity_axes
 from ..terms.corner_sums import Exposures
 from ..terms.inertial_data import InertialData
 from .alignment import Alignment, align_camera, gyroscope_integral

@@ -1,4 +1,4 @@
-"""How the IMUs beside the first lie to it, and how far apart their clocks are: a first guess.
+"""First guesses for the IMUs beside the first, and for an accelerometer with a clock of its own.
 
 The rotation that a camera saw is compared with each gyroscope in turn (`alignment`). With t_imu = t_cam + d for either,
 
@@ -6,19 +6,68 @@ The rotation that a camera saw is compared with each gyroscope in turn (`alignme
 
 Clocks may have nothing in common: each IMU counts its seconds from its own first timestamp. Where it sits on the body
 is left to the estimation, which starts from the body's origin.
+
+The delay between accelerometer and gyroscope: the camera's own acceleration is told by its positions
+(`camera_accelerations`). At each delay of a grid gravity g, the place p of the accelerometer and its bias b are fitted
+in
+
+    f = R_cam_imu' (R_cam_target (a - g)) + A p + b,     A = [alpha]x + [omega]x^2 by the gyroscope,
+
+with f averaged as the second difference averages; the delay that leaves least is taken.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ....errors import InitialisationError, OptionError
 from ....frozen import value_class
+from ....geometry.rotation_vector import acceleration_by_place
 from ....recording import Floats, ImuSamples
 from ..choices import kept_or_prior
 from ..layout import Status
 from ..parameters import ImuParameters
 from .alignment import Alignment, align_camera, gyroscope_integral
+from .board_poses import BoardPoses, averaged_derivative, averaged_readings, camera_accelerations
 from .first_guess import CameraAlignment, ImuStream, align_with_gravity
+
+_GRID_S = np.arange(-0.06, 0.0601, 0.002)
+_FEWEST = 10  # accelerations
+_EXPLAINED = 0.5
+"""Share of the scatter of the specific force that has to be explained."""
+
+
+def accelerometer_delay(alignment: Alignment, poses: BoardPoses, stream: ImuStream) -> float:
+    """Return t_gyroscope - t_accelerometer of the timestamps of one instant [s]; zero where nothing tells it.
+
+    Parameters
+    ----------
+    alignment, poses : of a camera, and to this IMU
+    stream : its readings by their timestamps
+    """
+    centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
+    if len(centre) < _FEWEST:
+        return 0.0
+    R_imu_target = alignment.R_cam_imu.T @ poses.R_cam_target[centre]
+    omega = averaged_readings(at_s, stream.t_s, stream.rate)
+    alpha = averaged_derivative(at_s, stream.t_s, stream.rate)
+    columns = np.concatenate(
+        [-R_imu_target, acceleration_by_place(omega, alpha), np.broadcast_to(np.eye(3), R_imu_target.shape)], axis=2
+    ).reshape(-1, 9)
+    basis = np.linalg.qr(columns)[0]
+    known = np.einsum("nij,nj->ni", R_imu_target, acceleration)
+    left = np.empty(len(_GRID_S))
+    for k, delay in enumerate(_GRID_S):
+        error = (averaged_readings(at_s - delay, stream.t_s, stream.force) - known).ravel()
+        left[k] = error @ error - np.square(basis.T @ error).sum()
+    best = int(np.argmin(left))
+    force = averaged_readings(at_s, stream.t_s, stream.force)
+    if not 0 < best < len(left) - 1 or left[best] > _EXPLAINED * float(np.square(force - force.mean(axis=0)).sum()):
+        return 0.0
+    before, least, after = left[best - 1 : best + 2]
+    step = _GRID_S[1] - _GRID_S[0]
+    return float(_GRID_S[best] + 0.5 * step * (before - after) / (before - 2 * least + after))
 
 
 @value_class

@@ -15,10 +15,7 @@ from ....geometry.quaternion import rk4n_steps, rotation_from_quaternion, runnin
 from ....geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrap_rotvecs
 from ....recording import Floats
 from ....solve.lapack import solve_banded
-from ..trajectory import BIAS, KnotGrid, Segment, Trajectory
-
-MARGIN_S = 0.1
-"""How far the trajectory reaches beyond the first and the last frame, where the IMU does."""
+from ..trajectory import BIAS, MARGIN_S, KnotGrid, Segment, Trajectory
 
 _GUIDE_S = 0.1  # from one rotation vector to the next where their branch is followed
 _LARGEST_ANGLE = 4.5  # rad from the reference attitude; the chart ends at 2 pi

@@ -22,10 +22,10 @@ from ....geometry.rotation_vector import skew
 from ....kernel import library
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
-from ..parameters import CameraParameters, RigParameters
+from ..parameters import OFFSETS, CameraParameters, RigParameters
 from ..trajectory import POSE, Bases, MotionState, Trajectory
 from .assembly import Columns
-from .board_terms import OFFSETS, CornerProducts, Coupling, PoseProducts, exposure_corners
+from .board_terms import CornerProducts, Coupling, PoseProducts, exposure_corners
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 
 
