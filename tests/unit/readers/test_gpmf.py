@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 import gnomon
 import gpmf_files as made
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.devices.device_log import read_device_log
-from gnomon.readers.devices.gpmf import has_gpmf, is_gpmf
+from gnomon.readers.devices.device_log import is_device_log, read_device_log
+from gnomon.readers.devices.gpmf import has_gpmf
 from gnomon.readers.devices.gpmf_streams import Telemetry, gpmf_entries, in_camera_axes
 from gnomon.readers.images.image_recording import holds_images, open_images
 from gnomon.readers.samples.stream import open_stream
@@ -228,7 +228,9 @@ def test_one_mp4_gives_video_and_samples_in_one_clock(tmp_path):
     path = tmp_path / "GX010001.MP4"
     path.write_bytes(made.with_telemetry((tmp_path / "plain.mp4").read_bytes(), payloads, durations))
     (tmp_path / "plain.mp4").unlink()
-    assert all(tells(path) for tells in (is_gpmf, has_gpmf, holds_images))
+    assert is_device_log((path,))
+    assert has_gpmf(path)
+    assert holds_images(path)
     for place in (path, tmp_path):
         recording = open_images(place)
         assert recording.streams["cam0"].count == 60

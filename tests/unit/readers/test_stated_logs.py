@@ -6,7 +6,7 @@ import pytest
 import field_devices
 from gnomon import read
 from gnomon.errors import RecordingError
-from gnomon.readers.devices.stated_log import is_stated_log
+from gnomon.readers.devices.device_log import is_device_log
 from phone_logs import G
 
 # docs.novatel.com/OEM7: the example of each log
@@ -82,4 +82,4 @@ def test_wristband(tmp_path):  # support.empatica.com: ACC.csv of an E4
 @pytest.mark.parametrize("text", ["t,ax,ay,az\n0,1,2,3\n", "1,1,1\n2,2,2\n3,4,5\n", "# RAWIMUSA\n1,2,3\n", "x"])
 def test_other_tables_are_left_to_others(text, tmp_path):
     (tmp_path / "log.csv").write_text(text)
-    assert not is_stated_log(tmp_path / "log.csv")
+    assert not is_device_log((tmp_path / "log.csv",))

@@ -1,14 +1,17 @@
-"""Tables that say above them, or by their name, what their numbers mean: Gyroflow, Empatica's E4, NovAtel's RAWIMU.
+"""Tables that say what their rows or numbers are: Gyroflow, Empatica's E4, NovAtel's RAWIMU; sensors in turn.
 
 Gyroflow's .gcsv states a scale for the time and for each sensor (docs.gyroflow.xyz, "gcsv format"). ACC.csv of the E4
 begins with a row of the time and one of the rate, and counts 1/64 g (support.empatica.com, "Data export and
 formatting"). NovAtel's RAWIMU logs hold z, minus y and x as increments over a sample, behind a CRC (docs.novatel.com,
 OEM7, RAWIMU, RAWIMUS, RAWIMUX, RAWIMUSX).
+
+In others each row says which sensor it is of: GNSS Logger of Android names the columns of each kind of row in a comment
+(`# UncalAccel,utcTimeMillis,...`), RealSense's rs-convert above each block, long tables
+(`timestamp,sensor,x,y,z`) once.
 """
 
 import re
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
 from math import log10
 from pathlib import Path
@@ -17,29 +20,26 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...units import Units
-from ..files import TextFile, first_bytes, read_text_file
+from ..files import TextFile, read_text_file
+from ..samples.column_names import column_name
 from ..samples.table import Triad, read_table
-from .device_log import DeviceLog, StampedTriad
+from ..samples.text_table import is_number
+from .device_log import (
+    GYROFLOW_SCALE,
+    HEAD_BYTES,
+    RAWIMU,
+    DeviceLog,
+    SensorTags,
+    StampedTriad,
+    sensor_tags,
+    stated_kind,
+)
 
-_HEAD_BYTES = 65_536
-_GYROFLOW = re.compile(rb"(?:GYROFLOW|CAMERA) IMU LOG\s")
-_SCALE = re.compile(rb"^([tgam]scale),([-+.\deE]+)\s*$", re.MULTILINE)
 _SCALED = {"gyroscope": (b"gscale", "rad/s"), "accelerometer": (b"ascale", "g"), "magnetometer": (b"mscale", "gauss")}
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
-_E4 = re.compile(rb"(\d{9,10}(?:\.0*)?), *\1, *\1\s*\n(\d{1,3}(?:\.0*)?), *\2, *\2\s*\n(?:-?\d{1,3}, *){2}-?\d{1,3}\s")
 _E4_PER_G = 64.0
-_RAWIMU = re.compile(
-    rb"[#%](RAWIMUS?X?A,[^;\n]*;(?:[0-9a-fA-F]+,\d+,)?(\d{1,5}),(\d{1,6})\.(\d{1,9}),[0-9a-fA-F]+"
-    + rb",(-?\d{1,10})" * 6
-    + rb")\*([0-9a-fA-F]{8})"
-)
 _WEEK_NS = 604_800_000_000_000
 _FULL_CRC = 0xFFFFFFFF
-
-
-def is_stated_log(path: Path) -> bool:
-    """Tell whether a file is one of them, by its first lines."""
-    return path.is_file() and path.stat().st_size > 0 and _reader(first_bytes(path, _HEAD_BYTES)) is not None
 
 
 def read_stated_log(path: Path) -> DeviceLog:
@@ -51,23 +51,15 @@ def read_stated_log(path: Path) -> DeviceLog:
         If the table is damaged, or states a scale that is none.
     """
     file = read_text_file(path)
-    reader = _reader(file.data[:_HEAD_BYTES])
-    if reader is None:
+    kind = stated_kind(file.data[:HEAD_BYTES])
+    if not kind:
         raise RecordingError(f"{path.name}: its first lines do not say what it holds.")
-    return reader(file)
-
-
-def _reader(head: bytes) -> Callable[[TextFile], DeviceLog] | None:
-    if _GYROFLOW.match(head) and _SCALE.search(head):
-        return _read_gyroflow
-    if _E4.match(head):
-        return _read_e4
-    return _read_rawimu if _RAWIMU.search(head) else None
+    return {"gyroflow": _read_gyroflow, "e4": _read_e4, "rawimu": _read_rawimu}[kind](file)
 
 
 def _read_gyroflow(file: TextFile) -> DeviceLog:
     scales: dict[bytes, float] = {}
-    for name, text in _SCALE.findall(file.data[:_HEAD_BYTES]):
+    for name, text in GYROFLOW_SCALE.findall(file.data[:HEAD_BYTES]):
         try:
             scales[name] = float(text)
         except ValueError:
@@ -111,7 +103,7 @@ def _read_rawimu(file: TextFile) -> DeviceLog:
     t_ns: list[int] = []
     rows: list[tuple[int, ...]] = []
     damaged = 0
-    for match in _RAWIMU.finditer(file.data):
+    for match in RAWIMU.finditer(file.data):
         text, week, second, fraction, *counts, crc = match.groups()
         if zlib.crc32(text, _FULL_CRC) ^ _FULL_CRC != int(crc, 16):
             damaged += 1
@@ -140,3 +132,50 @@ def _log(file: TextFile, found: dict[str, StampedTriad], note: str) -> DeviceLog
         sources=(file.source,),
         notes=(note,),
     )
+
+
+def read_tagged_log(path: Path) -> DeviceLog:
+    """Read the rows of each sensor as a table of its own.
+
+    Raises
+    ------
+    RecordingError
+        If such a table cannot be read.
+    """
+    file = read_text_file(path)
+    lines = file.data.decode("utf-8", errors="replace").splitlines()
+    tags = sensor_tags(lines)
+    if tags is None:
+        raise RecordingError(f"{path.name}: no column names the sensors.")
+    found: dict[str, StampedTriad] = {}
+    notes: list[str] = []
+    for quantity, word in tags.words.items():
+        table = read_table(_rows_of(file, lines, tags, word), None, None, Units())
+        found |= {triad.quantity: (table.t_ns, triad) for triad in table.triads if triad.quantity == quantity}
+        notes += [f"{path.name}: rows of {word} are the {quantity}.", *table.notes]
+    return DeviceLog(
+        accelerometer=found.get("accelerometer"),
+        gyroscope=found.get("gyroscope"),
+        magnetometer=found.get("magnetometer"),
+        sources=(file.source,),
+        notes=tuple(notes),
+    )
+
+
+def _rows_of(file: TextFile, lines: list[str], tags: SensorTags, word: str) -> TextFile:
+    """Return the rows of one sensor under the names of their columns."""
+    split = [(line.lstrip("# "), line.lstrip("# ").split(tags.delimiter)) for line in lines]
+    mine = [(line, row) for line, row in split if len(row) > tags.column and row[tags.column].strip() == word]
+    data = [line for line, row in mine if is_number(row[-1])]
+    width = len(data[0].split(tags.delimiter))
+    named = [row for _, row in (*mine, *split) if len(row) == width and not any(map(is_number, row))]
+    header = [_column(name.strip(), word) for name in named[0]] if named else []
+    text = "\n".join(data) + "\n"
+    return replace(file, name=f"{file.name} ({word})", data=text.encode(), header=tuple(header))
+
+
+def _column(name: str, word: str) -> str:
+    """Return the name of a column, with the sensor's where it is an axis alone: "3DOF_x" in rows of "Gyro"."""
+    known = column_name(name).quantity
+    axis = known == "unnamed" or (known == "other" and name[-2:].lower() in {"_x", "_y", "_z"})
+    return f"{word} {name[-1]}" if axis else name
