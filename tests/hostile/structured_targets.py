@@ -31,7 +31,7 @@ from gnomon.formats.sensor_inputs import read_cameras, read_imu_noise, read_imus
 from gnomon.formats.shared.losses import StatedImu
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target as Board
-from gnomon.readers.rig.camera_folder import read_sensor
+from gnomon.readers.images.image_recording import read_sensor
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.results.calibration import Calibration, Provenance
 from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise

@@ -32,10 +32,9 @@ from ..options import NoiseOptions
 from ..processes import one_blas_thread
 from ..progress import Progress
 from ..readers.devices.device_log import is_device_log
-from ..readers.files import file_source
+from ..readers.files import file_source, recording_files
 from ..readers.recordings import read
 from ..readers.samples.recognise import gyroscope_unit
-from ..readers.samples.several_files import recording_files
 from ..readers.samples.stream import SampleStream, open_stream, read_thermometer, stream_of
 from ..recording import Floats, ImuSamples, Recording, Source, TemperatureSamples, TriadSamples, smallest_steps
 from ..results.calibration import Provenance

@@ -1,26 +1,21 @@
-"""Files as bytes: unpacked where they are gzipped, hashed, and told apart by their content.
+"""Which files the paths of a recording mean, and files as bytes: unpacked where they are gzipped, hashed, told apart.
 
-Zip and NPZ files of others: what goes wrong with them, and what they may not be.
+Format "folder": a dataset in the layout of EuRoC or Kalibr, a pair of files, or one single file.
 """
 
 import hashlib
 import io
-import os
+import re
 import struct
-import warnings
 import zipfile
 import zlib
-from math import prod
+from collections.abc import Sequence
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
 
-import numpy as np
-
-from ..errors import RecordingError
+from ..errors import OptionError, RecordingError
 from ..formats.shared.structured import refuse_special
 from ..frozen import value_class
-from ..progress import tell_read
 from ..recording import Source
 
 try:
@@ -33,9 +28,6 @@ ZIP_DAMAGE = (
     *(RuntimeError, OverflowError, SyntaxError, IndexError, TokenError),
 )
 """What a damaged zip, or an array in it, ends in; RuntimeError of passwords and of methods that are not known."""
-
-Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
-"""Shape, whether in Fortran order, and type of an array."""
 
 
 def refuse_zip_bomb(archive: zipfile.ZipFile, where: str) -> None:
@@ -50,56 +42,6 @@ def refuse_zip_bomb(archive: zipfile.ZipFile, where: str) -> None:
     packed, unpacked = sum(one.compress_size for one in members), sum(one.file_size for one in members)
     if unpacked > largest_unpacked(packed):
         raise bomb_error(where, packed)
-
-
-def refuse_false_arrays(archive: zipfile.ZipFile, where: str) -> None:
-    """Refuse an NPZ file that is a bomb, or has an array whose header states more numbers than follow it.
-
-    Raises
-    ------
-    RecordingError
-        If it is one.
-    """
-    refuse_zip_bomb(archive, where)
-    for member in archive.infolist():
-        if not member.filename.endswith(".npy"):
-            continue
-        with archive.open(member) as file:
-            shape, _, dtype = array_header(file)
-        if prod(shape) * max(dtype.itemsize, 1) > member.file_size or min(shape, default=0) < 0:
-            raise RecordingError(
-                f"{where}: the header of {member.filename[:80]} states the shape {str(shape)[:80]}, which is more than "
-                f"its {member.file_size} bytes. Copy the file again."
-            )
-
-
-class ToldFile(io.FileIO):
-    """A file that tells how much of it is read, wherever it is read; what stands around it buffers."""
-
-    _done = 0
-
-    def readinto(self, buffer: Any, /) -> int | None:
-        """Read into a buffer, as a file does."""
-        count = super().readinto(buffer)
-        self._done += count or 0
-        tell_read(Path(os.fsdecode(self.name)).name, self._done, os.fstat(self.fileno()).st_size)
-        return count
-
-
-def array_header(member: Any) -> Header:
-    """Return what stands in front of an array.
-
-    Raises
-    ------
-    ValueError
-        If it is no header of NumPy.
-    """
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    with warnings.catch_warnings():  # NumPy warns of headers in the spelling of Python 2
-        warnings.simplefilter("ignore")
-        shape, fortran, dtype = read(member)
-    return shape, fortran, dtype
 
 
 _GZIP = b"\x1f\x8b"
@@ -300,3 +242,128 @@ def file_source(path: Path) -> Source:
     """Return name and hash of a file without holding it in memory."""
     with path.open("rb") as file:
         return Source(name=path.name, sha256=hashlib.file_digest(file, "sha256").hexdigest())
+
+
+_LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
+_SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
+_ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
+_MAGNETOMETER = re.compile(r"magn", re.IGNORECASE)
+_CORNERS = re.compile(r"cam\d+_(corners|frames)\.csv")
+_CALIBRATION = ("calibration.yaml", "noise.yaml")
+_BESIDE_IT = ("diagnostics.npz", "allan.csv", "trajectory.txt", "results-cam.txt", "results-imucam.txt")
+"""Files of a result that look like samples."""
+
+
+def recording_files(paths: Sequence[str | Path]) -> list[Path]:
+    """Return the one file, or the accelerometer and gyroscope files, that the paths of a recording mean.
+
+    Raises
+    ------
+    OptionError
+        If there are too few or too many paths.
+    RecordingError
+        If the path is a folder that does not hold one recording.
+    """
+    files = [Path(path) for path in paths]
+    if len(files) == 1 and files[0].is_dir():
+        files = list(_recording_in(files[0]))
+    for path in files:
+        if path.suffix in (".yaml", ".yml", ".html") or _is_of_a_result(path):
+            raise RecordingError(
+                f"{path}: this belongs to a calibration and is no recording. Name the recording: a table, a bag, a log "
+                "or a folder with one."
+            )
+    if not 1 <= len(files) <= 2 or (len(files) == 2 and any(path.is_dir() for path in files)):
+        raise OptionError(
+            f"{len(files)} paths given. Give one file, one folder, or an accelerometer file and a gyroscope file."
+        )
+    return files
+
+
+def _recording_in(folder: Path) -> tuple[Path, ...]:
+    """Return the file, or the accelerometer and gyroscope files, that a folder holds."""
+    known = known_layout(folder)
+    if known is not None:
+        return (known,)
+    files = sample_files(folder)
+    pair = accelerometer_and_gyroscope(files)
+    if pair is not None:
+        return pair
+    magnetometer = [path for path in files if _MAGNETOMETER.search(path.name)]
+    if len(files) == 2 and len(magnetometer) == 1 and any(_ACCELEROMETER.search(path.name) for path in files):
+        return files[0], files[1]
+    if len(files) == 1:
+        return (files[0],)
+    if not files and any(_CORNERS.match(path.name) for path in folder.iterdir()):
+        raise RecordingError(
+            f"{folder}: this folder holds corners of cameras, for gnomon camera, and no samples of an IMU."
+        )
+    if not files and any((folder / name).is_file() for name in _CALIBRATION):
+        raise RecordingError(
+            f"{folder}: this folder holds a result, and no recording. Name the recording that it was made from; "
+            f"gnomon show {folder} shows the result."
+        )
+    if not files:
+        raise RecordingError(
+            f"{folder}: no recording in this folder. Expected mav0/imu0/data.csv (EuRoC), imu0.csv (Kalibr), a pair of "
+            f"files with acc and gyr in their names, or one file ({', '.join(_SUFFIXES)}, also gzipped)."
+        )
+    raise RecordingError(several_recordings(folder, files))
+
+
+def several_recordings(folder: Path, files: Sequence[Path]) -> str:
+    """Return what is to be said of a folder that holds several recordings."""
+    listed = ", ".join(path.name for path in files[:8]) + (", ..." if len(files) > 8 else "")
+    return (
+        f"{folder}: {len(files)} files may be the recording ({listed}). Name the one to read. gnomon imu and gnomon "
+        "temperature take several recordings of one sensor, each of them named."
+    )
+
+
+def known_layout(folder: Path) -> Path | None:
+    """Return the file of samples of a folder in the layout of EuRoC or Kalibr, or None."""
+    paths = (path for layout in _LAYOUTS for path in (folder / layout, folder / f"{layout}.gz"))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def sample_files(folder: Path) -> list[Path]:
+    """Return the files in a folder that may hold samples, by name."""
+    return sorted(path for path in folder.iterdir() if path.is_file() and _is_candidate(path))
+
+
+def accelerometer_and_gyroscope(files: list[Path]) -> tuple[Path, Path] | None:
+    """Return the one file with acc and the one with gyr in its name, or None."""
+    accelerometer = [path for path in files if _ACCELEROMETER.search(path.name) and not _GYROSCOPE.search(path.name)]
+    gyroscope = [path for path in files if _GYROSCOPE.search(path.name) and not _ACCELEROMETER.search(path.name)]
+    return (accelerometer[0], gyroscope[0]) if len(accelerometer) == len(gyroscope) == 1 else None
+
+
+def _is_candidate(path: Path) -> bool:
+    name = path.name.lower().removesuffix(".gz")
+    return name.endswith(_SUFFIXES) and not (name.startswith(".") or _CORNERS.match(name) or _is_of_a_result(path))
+
+
+def _is_of_a_result(path: Path) -> bool:
+    return path.name in _BESIDE_IT and any(path.with_name(name).is_file() for name in _CALIBRATION)
+
+
+FEWEST_FILES = 3
+
+
+def pose_files(paths: Sequence[str | Path]) -> list[Path] | None:
+    """Return the files of poses, three or more paths or those in a folder; None where the paths mean something else.
+
+    Files in a folder come in the order of their names, numbers in them counting as numbers: pose2 before pose10.
+    """
+    files = [Path(path) for path in paths]
+    if len(files) == 1 and files[0].is_dir() and known_layout(files[0]) is None:
+        found = sample_files(files[0])
+        if any(".npz" in path.suffixes for path in found):
+            return None
+        if len(found) >= FEWEST_FILES and accelerometer_and_gyroscope(found) is None:
+            return sorted(found, key=_by_number)
+    return files if len(files) >= FEWEST_FILES else None
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name.lower())]

@@ -15,19 +15,22 @@ from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSa
 from ..recording.samples import dataframe_text, is_dataframe
 from ..units import Units
 from .devices.device_log import is_device_log
-from .files import NPZ_MAGIC, TextFile, file_source, first_bytes, read_text_file
-from .samples.pose_table import LARGEST_BYTES, read_pose_table
-from .samples.recognise import HELP, WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
-from .samples.several_files import (
+from .files import (
     FEWEST_FILES,
+    NPZ_MAGIC,
+    TextFile,
     accelerometer_and_gyroscope,
-    join_pose_tables,
+    file_source,
+    first_bytes,
     known_layout,
     pose_files,
+    read_text_file,
     recording_files,
     sample_files,
     several_recordings,
 )
+from .samples.poses import LARGEST_BYTES, join_pose_tables, read_pose_table
+from .samples.recognise import HELP, WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
 from .samples.table import SampleTable, Triad, read_table
 
 

@@ -47,7 +47,7 @@ _AXES = "xyz"
 
 
 def save_poses(poses: Poses, path: str | Path) -> None:
-    """Write a table of averaged poses, one row each; the columns are documented in `gnomon.readers.samples.pose_table`.
+    """Write a table of averaged poses, one row each; the columns are documented in `gnomon.readers.samples.poses`.
 
     Parameters
     ----------

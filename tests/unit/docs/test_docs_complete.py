@@ -31,7 +31,7 @@ from gnomon.options.requirements import GENERAL, GENERAL_IMU, GENERAL_RIG, QUANT
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.samples.npz import __doc__ as npz_keys
-from gnomon.readers.samples.pose_table import pose_column
+from gnomon.readers.samples.poses import pose_column
 from gnomon.recording import FrameQuality
 from gnomon.results.calibration import calibration_parameters
 from gnomon.results.camera_diagnostics import SceneMap

@@ -13,7 +13,7 @@ from gnomon.formats.own.calibration_file import read_own
 from gnomon.formats.sensor_inputs import read_cameras
 from gnomon.formats.shared.foreign_yaml import read_foreign_yaml
 from gnomon.formats.shared.structured import read_json, read_yaml
-from gnomon.readers.samples.several_files import pose_files
+from gnomon.readers.files import pose_files
 from hostile.promise import Target, keep
 from hostile.structured_targets import CAM, converted
 

@@ -8,7 +8,7 @@ import field_logs
 from field_logs import COUNT, STEP_S
 from gnomon import read
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.samples.stamps import Unwrapper
+from gnomon.readers.samples.table import Unwrapper
 
 TRUTH = field_logs.samples()
 

@@ -5,7 +5,7 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.samples.pose_table import pose_column
+from gnomon.readers.samples.poses import pose_column
 from gnomon.recording import Poses
 from gnomon.writers.pose_files import save_poses
 

@@ -9,10 +9,9 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
+from gnomon.readers.files import recording_files
 from gnomon.readers.samples.npz import _values
-from gnomon.readers.samples.several_files import recording_files
-from gnomon.readers.samples.stamps import guess_time_unit, stamp_kind, to_ns
-from gnomon.readers.samples.table import preamble_rate
+from gnomon.readers.samples.table import guess_time_unit, preamble_rate, stamp_kind, to_ns
 from gnomon.units import Units
 
 

@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon.assess.cameras.cameras_tables import CELLS
 from gnomon.models.camera import Camera
-from gnomon.readers.samples.stamps import guess_time_unit
+from gnomon.readers.samples.table import guess_time_unit
 from gnomon.recording import TriadSamples
 from gnomon.report import write_report
 from gnomon.report.cameras.lens import projection_spread

@@ -23,9 +23,8 @@ from ...options import FrameSelection
 from ...readers.files import file_source
 from ...readers.images.frame_selection import select_frames, select_images
 from ...readers.images.image_recording import open_images
-from ...readers.rig.camera_folder import holds_corners, recording_folder
 from ...readers.rig.corner_frames import read_corner_recording
-from ...readers.rig.imu_stream import with_stated
+from ...readers.rig.streams import holds_corners, recording_folder, with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ...recording.frames import ImageRecording, ImageStream
 from ...units import Units
@@ -97,7 +96,9 @@ def read_camera_imu(
                 f"{path} as camchain.yaml; gnomon camera makes one of the same corners."
             )
         recording, board = read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
-        return _with_rig(select_frames(recording, chosen), cam), board
+        if chosen != FrameSelection():
+            recording = select_frames(recording, chosen)
+        return _with_rig(recording, cam), board
     notes: list[str] = []
     board = None if str(target) == NO_BOARD else read_target(target, notes)
     stated = {} if cam is None else read_cameras(cam, notes)

@@ -29,13 +29,14 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...output import atomic_file, remove_parts
 from ...progress import Progress
-from ...readers.files import ZIP_DAMAGE, file_source, refuse_false_arrays
+from ...readers.files import ZIP_DAMAGE, file_source
 from ...readers.images.camera_places import camera_places, image_names
 from ...readers.images.image_file import read_grey
 from ...readers.images.image_recording import open_images
 from ...readers.recordings import ReadLog
-from ...readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
 from ...readers.rig.corner_frames import folder_corners
+from ...readers.rig.streams import corner_streams, holds_corners, recording_folder
+from ...readers.samples.npz import refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Recording, Source
 from ...recording.frames import ImageRecording, ImageStream
 from ...units import Units

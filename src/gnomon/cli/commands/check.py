@@ -52,7 +52,7 @@ class Check(Command):
     def run(self, terminal: Terminal) -> int:
         """Look at a recording, say what was found, and return the exit code."""
         from ...readers.images.image_recording import holds_images
-        from ...readers.rig.camera_folder import holds_corners
+        from ...readers.rig.streams import holds_corners
 
         path = self.recording.path
         folder = path / "mav0" if (path / "mav0").is_dir() else path
@@ -117,7 +117,7 @@ def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 def _check_corners(command: Check, terminal: Terminal) -> int:
     from ...calibrate import read_camera_imu, read_camera_views
-    from ...readers.rig.camera_folder import folder_holds_imu, recording_folder
+    from ...readers.rig.streams import folder_holds_imu, recording_folder
 
     files, taken = _files(command)
     if files["cam"] is None or files["target"] is None:

@@ -32,8 +32,6 @@ def select_images(images: ImageRecording, selection: FrameSelection) -> ImageRec
 
 def select_frames(recording: Recording, selection: FrameSelection) -> Recording:
     """Return a recording of corners with the frames that are asked for; see `select_images`."""
-    if selection == FrameSelection():
-        return recording
     first_ns = min((int(frames.t_ns[0]) for frames in recording.cameras.values() if len(frames.t_ns)), default=0)
     cameras = {}
     for name, frames in recording.cameras.items():

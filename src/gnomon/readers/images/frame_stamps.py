@@ -14,7 +14,7 @@ from ...recording import Integers, Source
 from ...units import TIME_UNITS_NS
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
-from ..samples.stamps import TYPICAL_FRAMES_HZ, guess_time_unit, stamp_kind, stray_timestamp, to_ns
+from ..samples.table import TYPICAL_FRAMES_HZ, guess_time_unit, stamp_kind, stray_timestamp, to_ns
 from ..samples.text_table import TextLayout, is_number, numbered_rows, sniff_layout
 
 _ROW = "time of a frame, name of its file"

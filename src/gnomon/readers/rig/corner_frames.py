@@ -20,9 +20,8 @@ from ...recording import CameraFrames, Floats, ImuSamples, Integers, Recording, 
 from ...units import Units
 from ..files import file_source
 from ..recordings import ReadLog
-from .camera_folder import CornerStream, corner_streams, imu_files, recording_folder
 from .corner_table import CornerTable, read_corner_table, read_frame_stamps
-from .imu_stream import read_imu
+from .streams import CornerStream, corner_streams, imu_files, read_imu, recording_folder
 
 
 @value_class

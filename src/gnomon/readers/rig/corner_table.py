@@ -14,7 +14,7 @@ from ...frozen import value_class
 from ...recording import Floats, Integers, Source
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
-from ..samples.stamps import guess_time_unit, stamp_kind, stray_timestamp, to_ns
+from ..samples.table import guess_time_unit, stamp_kind, stray_timestamp, to_ns
 from ..samples.text_table import Column, TextLayout, is_number, line_number, parse_columns, sniff_layout
 
 _HEADERS = '"ts_ns,tag_id,corner_idx,u_px,v_px" or "ts_ns,corner_id,u_px,v_px"'

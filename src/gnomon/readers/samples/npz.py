@@ -19,10 +19,14 @@ Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g
 (`readers.samples.npz`).
 """
 
+import io
+import os
+import warnings
 import zipfile
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from io import BufferedReader
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +36,12 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...formats.shared.structured import shorten_text
 from ...frozen import value_class
+from ...progress import tell_read
 from ...recording import Floats, Integers, TemperatureSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
-from ..files import ZIP_DAMAGE, ToldFile, refuse_false_arrays
+from ..files import ZIP_DAMAGE, refuse_zip_bomb
 from .column_names import column_name
-from .stamps import guess_time_unit, to_ns
-from .table import SampleTable, Triad, temperature_samples, uniform_stamps
+from .table import SampleTable, Triad, guess_time_unit, temperature_samples, to_ns, uniform_stamps
 
 _STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts")
 _PREFIXES = ("t", "time", "timestamp", "ts")
@@ -256,3 +260,57 @@ def _stamps(ns: NDArray[Any] | None, seconds: NDArray[Any] | None, where: str) -
     if stamps.ndim != 1 or stamps.dtype.kind not in "fiu":
         raise RecordingError(f"{where}: timestamps must be numbers (n,), found {stamps.dtype} of shape {stamps.shape}.")
     return to_ns(stamps, unit, where)
+
+
+Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
+"""Shape, whether in Fortran order, and type of an array."""
+
+
+def refuse_false_arrays(archive: zipfile.ZipFile, where: str) -> None:
+    """Refuse an NPZ file that is a bomb, or has an array whose header states more numbers than follow it.
+
+    Raises
+    ------
+    RecordingError
+        If it is one.
+    """
+    refuse_zip_bomb(archive, where)
+    for member in archive.infolist():
+        if not member.filename.endswith(".npy"):
+            continue
+        with archive.open(member) as file:
+            shape, _, dtype = array_header(file)
+        if prod(shape) * max(dtype.itemsize, 1) > member.file_size or min(shape, default=0) < 0:
+            raise RecordingError(
+                f"{where}: the header of {member.filename[:80]} states the shape {str(shape)[:80]}, which is more than "
+                f"its {member.file_size} bytes. Copy the file again."
+            )
+
+
+class ToldFile(io.FileIO):
+    """A file that tells how much of it is read, wherever it is read; what stands around it buffers."""
+
+    _done = 0
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        """Read into a buffer, as a file does."""
+        count = super().readinto(buffer)
+        self._done += count or 0
+        tell_read(Path(os.fsdecode(self.name)).name, self._done, os.fstat(self.fileno()).st_size)
+        return count
+
+
+def array_header(member: Any) -> Header:
+    """Return what stands in front of an array.
+
+    Raises
+    ------
+    ValueError
+        If it is no header of NumPy.
+    """
+    version = np.lib.format.read_magic(member)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    with warnings.catch_warnings():  # NumPy warns of headers in the spelling of Python 2
+        warnings.simplefilter("ignore")
+        shape, fortran, dtype = read(member)
+    return shape, fortran, dtype

@@ -21,23 +21,25 @@ from ...progress import tell_read
 from ...recording import Source
 from ..files import TextFile
 from .column_names import OTHER, column_name, time_columns, unit_of
-from .text_table import column_rises, sniff_layout
+from .text_table import (
+    CLOCK,
+    HEAD_BYTES,
+    LABEL,
+    PARENT_LINE,
+    PRINTED_HEAD_LINES,
+    column_rises,
+    holds_nested_lines,
+    is_printed,
+    sniff_layout,
+)
 
-PRINTED_HEAD_BYTES, _HEAD_LINES, _LONGEST_LINE, _BLOCK_BYTES = 65_536, 200, 2000, 1 << 20
+_LONGEST_LINE, _BLOCK_BYTES = 2000, 1 << 20
 _NUMBER = rb"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|NaN|NAN|inf|INF))(?![\w.]*(?:\][ \t]*)?[:=])"
 _TOKEN = re.compile(rb"(?<![\w.^+/-])" + _NUMBER)
-_LABELLED = re.compile(rb"^[\[(]|[A-Za-z\])\"'][ \t]*(?:[:=]|[\[(][ \t]*(?:[-+.\d]|$))")
 _OPENS_NUMBER = re.compile(r"[:=][\s\[({<\"']*$|[\[({<]\s*$")
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-_CLOCK = re.compile(
-    rb"\[?(?<![\w.:-])(?:(?:(\d{4})[-/](\d\d?)[-/](\d\d?)|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4})[ T]\s*)?"
-    rb"([012]?\d):([0-5]\d):([0-5]\d)(?:[.:](\d{1,9}))?"
-    rb"(?:Z|[+-]\d\d:?\d\d)?(?![\w:])\]?([ \t]*-?>[ \t]?)?"
-)
 _FRAME = re.compile(rb"\$([A-Z][A-Z0-9]*),([^*]*)\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})\s*$")
-_PARENT = re.compile(rb"\s*[A-Za-z_]\w*:\s*$")
 _VALUE = re.compile(rb"[A-Za-z_]\w*: *" + _NUMBER + rb"$")
-_CHILD = re.compile(rb"\s+[A-Za-z_]\w*:(\s|$)")
 _DAY_S = 86_400
 _PADDING = re.compile(rb"(?<=[:=,;|]) $")
 """Space that a sign may take, as of "% 5.2f"."""
@@ -94,14 +96,14 @@ def lines_as_table(file: TextFile) -> TextFile:
 
 def printed_form(data: bytes) -> PrintedForm | None:
     """Recognise by its first lines a log that is no plain table, (None) where it is one or nothing is understood."""
-    head = data[:PRINTED_HEAD_BYTES].splitlines()[:_HEAD_LINES]
-    nested = any(_PARENT.match(a) and _CHILD.match(b) for a, b in pairwise(head))
+    if not is_printed(data):
+        return None
+    head = data[:HEAD_BYTES].splitlines()[:PRINTED_HEAD_LINES]
+    nested = holds_nested_lines(head)
     if nested:
         head = [*map(Nesting(), head)]
-    if not any(_LABELLED.search(line) or _CLOCK.search(line) or line.startswith(b"$") for line in head):
-        return None
     bare = [_without_clock(line)[1] for line in head if 0 < len(line) < _LONGEST_LINE]
-    timed = sum(_CLOCK.search(line) is not None for line in head) > 0.5 * len([line for line in head if line.strip()])
+    timed = sum(CLOCK.search(line) is not None for line in head) > 0.5 * len([line for line in head if line.strip()])
     groups = _cycle([gaps for line in bare if (gaps := _gaps(_unframed(line)[0])) is not None])
     if groups is not None and (header := _header(groups)) is not None:
         own = any(column_name(name).quantity == "time" for name in header)
@@ -113,7 +115,7 @@ def printed_form(data: bytes) -> PrintedForm | None:
 
 def _clock_form(head: list[bytes]) -> PrintedForm | None:
     """Return how the clocks in the lines of a table become numbers; None where it has other stamps of its own."""
-    prefixed = 2 * sum((match := _CLOCK.search(line)) is not None and match[8] is not None for line in head) > len(head)
+    prefixed = 2 * sum((match := CLOCK.search(line)) is not None and match[8] is not None for line in head) > len(head)
     bare = [_without_clock(line)[1] for line in head] if prefixed else head
     try:
         layout = sniff_layout(_text(bare))
@@ -141,7 +143,7 @@ def _lines(data: bytes, name: str) -> Iterator[bytes]:
 
 def _without_clock(line: bytes) -> tuple["re.Match[bytes] | None", bytes]:
     """Return the clock at the beginning of a line, if there is one, and what follows it."""
-    match = _CLOCK.match(line.lstrip())
+    match = CLOCK.match(line.lstrip())
     return (None, line) if match is None else (match, match.string[match.end() :])
 
 
@@ -178,7 +180,7 @@ def _cycle(found: list[Gaps]) -> tuple[Gaps, ...] | None:
         return None
     usual = max(2.0, _USUAL * max(counts.values()))
     kinds = tuple(gaps for gaps, count in counts.items() if count >= usual)
-    if not any(_LABELLED.search(gap) for gaps in kinds for gap in gaps):
+    if not any(LABEL.search(gap) for gaps in kinds for gap in gaps):
         return None
     order = [kinds.index(gaps) for gaps in found if gaps in kinds]
     good = sum((b - a) % len(kinds) == 1 % len(kinds) for a, b in pairwise(order))
@@ -282,7 +284,7 @@ class Nesting:
         text = line.strip()
         indent = len(line) - len(line.lstrip())
         self._parents = [(depth, name) for depth, name in self._parents if depth < indent]
-        if _PARENT.match(line):
+        if PARENT_LINE.match(line):
             self._parents.append((indent, text.rstrip(b":")))
         return b".".join([*(name for _, name in self._parents), text]) if _VALUE.match(text) else b""
 
@@ -341,7 +343,7 @@ class LineRewriter:
 
     def _timed(self, line: bytes) -> bytes:
         if self.form.in_place:
-            match = _CLOCK.search(line)
+            match = CLOCK.search(line)
             return line if match is None else line[: match.start()] + self._seconds(match) + line[match.end() :]
         clock, text = _without_clock(line)
         if not self.form.clock:

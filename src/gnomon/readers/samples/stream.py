@@ -19,10 +19,9 @@ from ...frozen import value_class
 from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
 from ...units import Units
 from ..devices.device_log import is_device_log
-from ..files import MAT_MAGIC, NPZ_MAGIC, first_bytes
+from ..files import MAT_MAGIC, NPZ_MAGIC, first_bytes, recording_files
 from ..recordings import read
 from .recognise import accelerometer_unit
-from .several_files import recording_files
 
 Blocks = Iterator[TriadSamples]
 

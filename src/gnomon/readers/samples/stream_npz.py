@@ -17,11 +17,10 @@ from ...frozen import value_class
 from ...progress import tell_read
 from ...recording import Integers, TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..files import ZIP_DAMAGE, array_header, refuse_false_arrays
-from .npz import SensorArray, sensor_arrays
-from .stamps import guess_time_unit, to_ns
+from ..files import ZIP_DAMAGE
+from .npz import SensorArray, array_header, refuse_false_arrays, sensor_arrays
 from .stream import TRIADS, Blocks, SampleStream, UnitChoice
-from .table import uniform_stamps
+from .table import guess_time_unit, to_ns, uniform_stamps
 
 _SAMPLE_BYTES = 56
 """Of two triads at one timestamp."""

@@ -20,13 +20,22 @@ from ...units import Units
 from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
 from .column_names import Roles, column_roles
-from .printed_lines import PRINTED_HEAD_BYTES, LineRewriter, printed_form
-from .stamps import Unwrapper, guess_time_unit, named_unit, stamp_kind, to_ns
+from .printed_lines import LineRewriter, printed_form
 from .stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
-from .table import Triad, preamble_rate, read_table, uniform_stamps
-from .text_table import Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
+from .table import (
+    Triad,
+    Unwrapper,
+    guess_time_unit,
+    named_unit,
+    preamble_rate,
+    read_table,
+    stamp_kind,
+    to_ns,
+    uniform_stamps,
+)
+from .text_table import HEAD_BYTES, Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
 
-_HEAD_BYTES = 8 << 20
+_RECOGNISED_BYTES = 8 << 20
 _LONGEST_LINE = 1 << 20
 _NO_SOURCE = Source(name="", sha256="")
 
@@ -106,8 +115,8 @@ def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, st
 def _head(path: Path) -> TextFile:
     """Return the beginning of a file, cut at a line end."""
     with _opened(path) as (stream, header, _):
-        data = stream.read(_HEAD_BYTES)
-        if len(data) == _HEAD_BYTES and b"\n" in data:
+        data = stream.read(_RECOGNISED_BYTES)
+        if len(data) == _RECOGNISED_BYTES and b"\n" in data:
             data = data[: data.rfind(b"\n") + 1]
     if not data.strip():
         raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
@@ -305,7 +314,7 @@ def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...], Callable[[],
     """
     try:
         with _text_stream(path) as (stream, _):
-            form = printed_form(stream.read(PRINTED_HEAD_BYTES))
+            form = printed_form(stream.read(HEAD_BYTES))
         with _text_stream(path) as (stream, place):
             rows = stream if form is None else _Rewritten(stream, LineRewriter(form))
             yield rows, form.header if form else (), place

@@ -1,4 +1,4 @@
-"""Tables of numbers in text: how they are written (delimiter, header, preamble), and their columns, parsed fast.
+"""Numbers in text: how a table is written (delimiter, header, preamble), what is a log, and columns, parsed fast.
 
 Tables of plain numbers, read by the parser of a JSON library: about twice as fast as NumPy's reader of text.
 """
@@ -7,6 +7,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def _is_regular(lines: bytes, count: int) -> bool:
     return bool((rows[:-1, -1] < ends).all() and (rows[1:, 0] > ends).all())
 
 
-_HEAD_BYTES = 65_536
+HEAD_BYTES = 65_536
 _HEAD_LINES = 100
 _LONGEST_HEADER = 10_000
 _DELIMITERS = (",", ";", "\t", None)  # None is any white space
@@ -163,13 +164,13 @@ def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
     RecordingError
         If there is no table of numbers in the file.
     """
-    raw = file.data[:_HEAD_BYTES].splitlines(keepends=True)
-    if len(file.data) > _HEAD_BYTES:
+    raw = file.data[:HEAD_BYTES].splitlines(keepends=True)
+    if len(file.data) > HEAD_BYTES:
         raw.pop()  # the last line may be cut by the end of the head
     raw = raw[:_HEAD_LINES]
     lines = [line.decode("utf-8", errors="replace").strip("\r\n") for line in raw]
     if not lines:
-        raise RecordingError(f"{file.name}: its first line is longer than {_HEAD_BYTES} bytes, as that of no table is.")
+        raise RecordingError(f"{file.name}: its first line is longer than {HEAD_BYTES} bytes, as that of no table is.")
     delimiter, comma = _best_delimiter(lines)
     rows = [[] if line.lstrip().startswith(_COMMENT) else split_line(line, delimiter) for line in lines]
     masks = [[is_number(token, comma) for token in row] for row in rows]
@@ -195,6 +196,34 @@ def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
         offset=sum(len(line) for line in raw[:first]),
         sample=sample,
     )
+
+
+PRINTED_HEAD_LINES = 200
+"""Lines at the beginning of a log that are looked at."""
+CLOCK = re.compile(
+    rb"\[?(?<![\w.:-])(?:(?:(\d{4})[-/](\d\d?)[-/](\d\d?)|\d\d?[-/.](?:\d\d?|[A-Z][a-z]{2})[-/.]\d{4})[ T]\s*)?"
+    rb"([012]?\d):([0-5]\d):([0-5]\d)(?:[.:](\d{1,9}))?"
+    rb"(?:Z|[+-]\d\d:?\d\d)?(?![\w:])\]?([ \t]*-?>[ \t]?)?"
+)
+"""A clock in a line, with or without its date."""
+LABEL = re.compile(rb"^[\[(]|[A-Za-z\])\"'][ \t]*(?:[:=]|[\[(][ \t]*(?:[-+.\d]|$))")
+"""What tells that a number has a label."""
+PARENT_LINE = re.compile(rb"\s*[A-Za-z_]\w*:\s*$")
+"""A name above the lines that belong to it, as in YAML."""
+_CHILD_LINE = re.compile(rb"\s+[A-Za-z_]\w*:(\s|$)")
+
+
+def is_printed(data: bytes) -> bool:
+    """Tell by its first lines whether a text is a log as programs print them for people, and no table yet."""
+    head = data[:HEAD_BYTES].splitlines()[:PRINTED_HEAD_LINES]
+    return holds_nested_lines(head) or any(
+        LABEL.search(line) or CLOCK.search(line) or line.startswith(b"$") for line in head
+    )
+
+
+def holds_nested_lines(head: list[bytes]) -> bool:
+    """Tell whether lines belong to names above them."""
+    return any(PARENT_LINE.match(above) and _CHILD_LINE.match(below) for above, below in pairwise(head))
 
 
 def has_header(name: str, head: bytes) -> bool:

@@ -8,10 +8,18 @@ import numpy as np
 from ...errors import OptionError, RecordingError
 from ...recording import ImuSamples, Recording, TriadSamples
 from ...units import Units
-from ..files import NPZ_MAGIC, first_bytes, read_text_file
+from ..files import (
+    NPZ_MAGIC,
+    accelerometer_and_gyroscope,
+    first_bytes,
+    known_layout,
+    pose_files,
+    read_text_file,
+    recording_files,
+    sample_files,
+)
 from ..recordings import read_recognising, without_magnetometer
 from .recognise import WITH_RESTS
-from .several_files import accelerometer_and_gyroscope, known_layout, pose_files, recording_files, sample_files
 from .table import RATE_HELP, read_table
 
 

@@ -1,4 +1,6 @@
-"""Format "pose table": text with one row a pose, the averages of a sensor at rest.
+"""Static poses: a table of their averages, or a file of samples for each of them.
+
+Format "pose table": text with one row a pose, the averages of a sensor at rest.
 
     ax ay az                mean of the accelerometer; units in brackets, as "ax [g]"
     gx gy gz                mean of the gyroscope; may be missing
@@ -10,22 +12,25 @@
 
 A header or --columns gives the names, in any common spelling and order. A table of samples has a time or a rate; what
 has neither and is short is a table of poses, and so is a short table with one of the columns that only poses have.
+
+Format "pose files": a file for each pose in which the sensor rested, all in one format, joined to one recording.
 """
 
 import re
+from itertools import pairwise
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...frozen import value_class
-from ...recording import Floats, Poses, Recording
+from ...recording import Floats, Integers, Piece, Poses, Recording
 from ...results.result import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS_NS, Units
 from ..files import TextFile
 from .column_names import column_name, unit_of
 from .printed_lines import lines_as_table
-from .table import RATE_HELP, preamble_rate
-from .text_table import Column, TextLayout, numbered_rows, parse_columns, sniff_layout
+from .table import RATE_HELP, SampleTable, Triad, preamble_rate
+from .text_table import Column, TextLayout, is_printed, numbered_rows, parse_columns, sniff_layout
 
 POSE_HELP = (
     "If its rows are averaged poses, name the columns in a header: ax ay az, and where they are known gx gy gz, "
@@ -105,7 +110,7 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     RecordingError
         If it is a table of poses that cannot be used; the message says where.
     """
-    file = lines_as_table(file)
+    file = lines_as_table(file) if is_printed(file.data) else file
     layout = sniff_layout(file)
     names = columns.replace(",", " ").split() if columns is not None else list(layout.header)
     if not names and layout.columns in (3, 6) and _is_short(layout, file) and preamble_rate(layout.preamble) is None:
@@ -269,3 +274,84 @@ def _check(poses: Poses, file: TextFile, layout: TextLayout) -> None:
                 f"{file.name}: the known components ref_x ref_y ref_z have a length of {usual:.4g} m/s^2, expected "
                 "about 9.81. State their unit in the header, as ref_x [g], or give them in m/s^2."
             )
+
+
+# ---- files of one pose each ----
+
+_BETWEEN_NS = 1_000_000_000  # between files whose clocks start anew
+_LONGEST_NS = 86_400 * 1_000_000_000
+
+
+def join_pose_tables(tables: list[SampleTable], names: list[str]) -> tuple[SampleTable, tuple[Piece, ...], list[str]]:
+    """Return one table of all files, where each of them is in it, and what was assumed.
+
+    Raises
+    ------
+    RecordingError
+        If the files do not hold the same sensors in the same units.
+    """
+    like = _kinds(tables[0])
+    for table, name in zip(tables, names, strict=True):
+        if _kinds(table) != like:
+            raise RecordingError(
+                f"{name}: found {_listed(_kinds(table))}, but {names[0]} holds {_listed(like)}. Files of poses must "
+                "all have the same columns. If they are no poses of one sensor, name the one file to read."
+            )
+    notes = _notes(tables, names)
+    order, t_ns, note = _one_clock([table.t_ns for table in tables])
+    tables, names = [tables[k] for k in order], [names[k] for k in order]
+    edges = np.cumsum([0, *(len(table.t_ns) for table in tables)])
+    triads = tuple(
+        Triad(
+            quantity=triad.quantity,
+            values=np.concatenate([table.triads[k].values for table in tables]),
+            unit=triad.unit,
+        )
+        for k, triad in enumerate(tables[0].triads)
+    )
+    pieces = tuple(
+        Piece(name=name, start=int(a), stop=int(b)) for name, a, b in zip(names, edges[:-1], edges[1:], strict=True)
+    )
+    return SampleTable(t_ns=t_ns, triads=triads, notes=()), pieces, [*notes, note]
+
+
+def _kinds(table: SampleTable) -> tuple[tuple[str, str | None], ...]:
+    return tuple((triad.quantity, triad.unit) for triad in table.triads)
+
+
+def _listed(kinds: tuple[tuple[str, str | None], ...]) -> str:
+    return " and ".join(f"{quantity} in {unit}" if unit else quantity for quantity, unit in kinds)
+
+
+def _notes(tables: list[SampleTable], names: list[str]) -> list[str]:
+    """Return each note once, however many files it is of."""
+    counts: dict[str, list[str]] = {}
+    for table, name in zip(tables, names, strict=True):
+        for note in table.notes:
+            counts.setdefault(note.removeprefix(f"{name}: "), []).append(name)
+    return [f"{_files(of, len(names))}: {note}" for note, of in counts.items()]
+
+
+def _files(names: list[str], total: int) -> str:
+    if len(names) == 1:
+        return names[0]
+    return "all files" if len(names) == total else f"{names[0]} and {len(names) - 1} more"
+
+
+def _one_clock(stamps: list[Integers]) -> tuple[list[int], Integers, str]:
+    """Return the order of the files in time, their timestamps on one clock [ns], and what was assumed."""
+    order = sorted(range(len(stamps)), key=lambda k: int(stamps[k][0]))
+    ordered = [stamps[k] for k in order]
+    follow = all(int(a[-1]) < int(b[0]) for a, b in pairwise(ordered))
+    if follow and int(ordered[-1][-1]) - int(ordered[0][0]) < _LONGEST_NS:
+        return order, np.concatenate(ordered), f"{len(stamps)} files, one pose each, in the order of their timestamps."
+    shifted: list[Integers] = []
+    begin = 0
+    for t_ns in stamps:
+        shifted.append(t_ns - t_ns[0] + begin)
+        begin = int(shifted[-1].max()) + _BETWEEN_NS
+    return (
+        list(range(len(stamps))),
+        np.concatenate(shifted),
+        f"{len(stamps)} files, one pose each, whose clocks start anew: they are taken to follow each other as given.",
+    )
