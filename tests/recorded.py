@@ -22,7 +22,8 @@ from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import Floats
-from gnomon.recording.frames import ImageRecording, ImageStream
+from gnomon.recording.frames import ImageStream
+from gnomon.recording.recording import ImageRecording
 from gnomon.results.calibration import Calibration
 from gnomon.writers.bag_recording import save_bag
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording

@@ -1,8 +1,14 @@
 """What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
 
-from .arrays import (
+from .frames import CameraFrames, FrameQuality, KnownRig
+from .recording import Piece, Recording, Source, recorded_hashes, shared_sources
+from .samples import (
     Floats,
+    ImuSamples,
     Integers,
+    Poses,
+    TemperatureSamples,
+    TriadSamples,
     close_gaps,
     frozen_array,
     kept_with_array,
@@ -10,10 +16,6 @@ from .arrays import (
     smallest_steps,
     usual_step,
 )
-from .frames import CameraFrames, FrameQuality, KnownRig
-from .recording import Recording
-from .samples import ImuSamples, Poses, TemperatureSamples, TriadSamples
-from .sources import Piece, Source, recorded_hashes, shared_sources
 
 __all__ = [
     "CameraFrames",

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
-from .arrays import Floats, Integers, frozen_array
-from .samples import ImuSamples
-from .sources import Source
+from .samples import Floats, Integers, frozen_array
 
 
 @value_class
@@ -235,27 +233,3 @@ class ImageStream:
     time_shift_cam_imu_s: float | None = None
     arrivals: Arrivals | None = None
     selection: str = ""
-
-
-@value_class
-class ImageRecording:
-    """A recording whose cameras are images still.
-
-    Attributes
-    ----------
-    imus : mapping from "imu0", ... to ImuSamples; empty where the recording has none
-    streams : mapping from "cam0", ... to ImageStream; at least one
-    sources : the files that were read, or are to be read: name and hash of all that the images come from
-    assumptions : sentences on what the reader had to assume
-    imu_arrivals : of the IMUs, where the recorder's clock is known
-    """
-
-    imus: Mapping[str, ImuSamples]
-    streams: Mapping[str, ImageStream]
-    sources: tuple[Source, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    imu_arrivals: Mapping[str, Arrivals] = field(default_factory=dict[str, Arrivals])
-
-    def __post_init__(self) -> None:
-        for name in ("imus", "streams", "imu_arrivals"):
-            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))

@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
-from .arrays import smallest_steps
-from .samples import Floats, Integers, TemperatureSamples, frozen_array
+from .samples import Floats, Integers, TemperatureSamples, frozen_array, smallest_steps
 
 Booleans = NDArray[np.bool_]
 

@@ -18,7 +18,8 @@ from ..formats.shared.yaml_text import yaml_lines
 from ..output import whole_folder
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples
-from ..recording.frames import ImageRecording, ImageStream
+from ..recording.frames import ImageStream
+from ..recording.recording import ImageRecording
 from .video import encode_frames
 
 _FRAMES = "#timestamp [ns],filename\n"

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from ..progress import Progress
-from ..recording.frames import Frame, Grey, ImageRecording
+from ..recording.frames import Frame, Grey
+from ..recording.recording import ImageRecording
 from .bag_recording import save_bag
 from .euroc_folder import save_euroc
 from .video import save_simulated_images

@@ -223,7 +223,8 @@ def test_a_camera_clock_that_drifts_is_found_when_a_bag_is_read(views, monkeypat
     """Where the recorder's clock is known: the camera's clock is 500 ppm slow, the IMU's is right."""
     from gnomon.calibrate.steps import camera_imu_reading
     from gnomon.recording import ImuSamples, TriadSamples
-    from gnomon.recording.frames import Arrivals, ImageRecording
+    from gnomon.recording.frames import Arrivals
+    from gnomon.recording.recording import ImageRecording
 
     t_ns = np.arange(0, 60_000_000_000, 50_000_000)
     late = np.random.default_rng(0).exponential(1e6, len(t_ns)).astype(np.int64)

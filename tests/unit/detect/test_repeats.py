@@ -11,7 +11,7 @@ from gnomon.assess.checks.signals import check_signal
 from gnomon.detect.samples.repeats import RepeatWatch, repeated_stretches
 from gnomon.errors import OptionError, RecordingError
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
-from gnomon.recording.sources import same_measurements, sample_fingerprint
+from gnomon.recording.recording import same_measurements, sample_fingerprint
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)
 

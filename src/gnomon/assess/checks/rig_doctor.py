@@ -16,7 +16,8 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
 from ...recording import FrameQuality, ImuSamples, Integers, Recording
-from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
+from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import ImageRecording
 from .camera_checks import (
     all_stamps,
     check_cameras,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ...assess.checks.rig_doctor import RigSummary
     from ...findings import Finding, Severity
     from ...recording import ImuSamples, Integers, Recording, TriadSamples
-    from ...recording.frames import ImageRecording
+    from ...recording.recording import ImageRecording
 
 _STYLES: "dict[Severity, str]" = {"problem": "red", "warning": "yellow", "info": "", "good": "green"}
 

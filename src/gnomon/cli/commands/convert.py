@@ -16,7 +16,7 @@ from ..terminal import Terminal
 
 if TYPE_CHECKING:
     from ...formats.shared.losses import StatedImu
-    from ...recording.frames import ImageRecording
+    from ...recording.recording import ImageRecording
 
 
 CalibrationForm = Literal[

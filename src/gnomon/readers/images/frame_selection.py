@@ -9,7 +9,8 @@ import numpy as np
 from ...errors import RecordingError
 from ...options import FrameSelection
 from ...recording import Recording
-from ...recording.frames import Frame, ImageRecording, ImageStream
+from ...recording.frames import Frame, ImageStream
+from ...recording.recording import ImageRecording
 
 _AHEAD = 0.25  # of the time between two images that are taken: timestamps stray round its multiples
 

@@ -16,7 +16,8 @@ from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array
-from ...recording.frames import ImageRecording, ImageStream
+from ...recording.frames import ImageStream
+from ...recording.recording import ImageRecording
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf

@@ -12,7 +12,8 @@ from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
 from ...recording import Floats
-from ...recording.frames import Frame, Grey, ImageRecording, ImageStream
+from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import ImageRecording
 from ..camera_imu import CameraImuSimulation
 from ..cameras import CamerasSimulation
 from .board_outlines import TrueBoard
