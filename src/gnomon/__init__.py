@@ -70,10 +70,9 @@ if TYPE_CHECKING:
     from .readers.recordings import read
     from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
-    from .report import write_report
-    from .report.comparison import write_comparison_report
+    from .report.comparison import write_comparison_report, write_verification_report
     from .report.noise import write_noise_report
-    from .report.verification import write_verification_report
+    from .report.page import write_report
     from .results.calibration import (
         AccelerometerCalibration,
         Calibration,
@@ -138,10 +137,9 @@ _HOMES = {
         "readers.recordings": "read",
         "readers.samples.turntable_files": "read_turntable",
         "recording": "CameraFrames ImuSamples Poses Recording TriadSamples",
-        "report": "write_report",
-        "report.comparison": "write_comparison_report",
+        "report.comparison": "write_comparison_report write_verification_report",
         "report.noise": "write_noise_report",
-        "report.verification": "write_verification_report",
+        "report.page": "write_report",
         "results.calibration": (
             "AccelerometerCalibration Calibration CameraCalibration Covariance GyroscopeCalibration "
             "ImuCalibration MagnetometerCalibration"

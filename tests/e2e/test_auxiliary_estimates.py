@@ -14,7 +14,7 @@ from gnomon import (
     calibrate_cameras,
     simulate_camera_imu,
 )
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 
 SMALL = CameraImuScenario(
     duration_s=9.0, motion="normal", imu_rate_hz=100.0, camera_rate_hz=10.0, target_cols=3, target_rows=3

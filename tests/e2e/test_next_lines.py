@@ -15,7 +15,7 @@ from gnomon.cli import main
 from gnomon.cli.output_folder import owner_of
 from gnomon.report.cameras.page import NEXT as CAMERA_LINES
 from gnomon.report.page import Code
-from gnomon.report.sections import imu_use_section
+from gnomon.report.static.page import imu_use_section
 
 STARTS = {
     "imu": "simulate -o log.npz --intervals 14 --t-init-s 12",

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import pytest
 
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 
 NUMBER = re.compile(r"\u2212?[\d.]+(e\d+)?")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camera_imu_result import make_camera_imu_result
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason=WHY_NOT)]

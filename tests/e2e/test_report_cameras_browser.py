@@ -3,7 +3,7 @@
 import pytest
 
 from cameras_result import make_cameras_result
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 from headless import CHROMIUM, CUT_OFF, MEASURE, WHY_NOT, Browser
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason=WHY_NOT)]

@@ -14,7 +14,7 @@ from gnomon.cli.commands.verify import read_verification
 from gnomon.estimate.trust.changes import estimates_alone
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.options.requirements import Use
-from gnomon.report.certificate.tables import certificate_tables
+from gnomon.report.comparison import verified_tables
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
 LOOSE = Use(name="loose", words="a test", needs={"accelerometer_scale": 0.05})
@@ -237,7 +237,7 @@ def _make_its_certificate(tmp_path):
     known = read_verification(tmp_path / "out" / "verification.json")
     assert [block.path for block in known.moved] == ["imu0.gyroscope.scale"]
     assert known.moved[0].values.shape == (3,)
-    stated, blocks, criteria = certificate_tables(known)
+    stated, blocks, criteria = verified_tables(known)
     assert stated.rows == [("Serial number", "A-17"), ("Date", "2026-11-27")]
     assert {row[4] for row in blocks.rows} == {"moved", "holds"}
     assert criteria.rows[criteria.marked][0] == known.verdict

@@ -35,7 +35,7 @@ def write_result(result: "Result", folder: Path, *, report: bool, terminal: Term
     terminal.written = result.calibration
     if report:
         terminal.progress("drawing the report")
-        from ..report import write_report
+        from ..report.page import write_report
 
         write_report(result, folder / "report.html")
 

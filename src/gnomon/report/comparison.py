@@ -1,4 +1,4 @@
-"""What the report of a comparison says: the page of page.py, filled from a Comparison."""
+"""What the reports of a comparison and of a verification say: the page of page.py, filled from them."""
 
 from collections.abc import Iterator
 from math import isfinite
@@ -8,14 +8,14 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.comparison.comparison import Comparison, Difference, Repeatability
-from ..assess.comparison.comparison_words import block_words, shown_unit
+from ..assess.comparison.comparison_words import block_words, shown_unit, typical_size
+from ..assess.comparison.verification import Verification, movement_words
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
-from .certificate.tables import certificate_tables
-from .drawing import svg
+from .certificate import front_tables
 from .drawing.figures import RIGHT, Plot, Sheet, draw_dots
-from .drawing.panel import Panel
+from .drawing.panel import Panel, TextStyle
 from .numbers import MISSING, fixed_text, number_text, readable_unit
 from .page import (
     Block,
@@ -32,6 +32,11 @@ from .page import (
 )
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown
+_AGREEMENT = (
+    ("pass", "they differ by no more than chance"),
+    ("warn", "they agree, with the reservations named under What to do"),
+    ("fail", "two of them differ by more than the standard deviations of both allow"),
+)
 
 
 def write_comparison_report(comparison: Comparison, path: str | Path) -> None:
@@ -56,9 +61,42 @@ def comparison_page(comparison: Comparison) -> ReportPage:
         headline=comparison.headline,
         key_numbers=_key_numbers(comparison),
         findings=tuple(typeset_finding(finding) for finding in comparison.findings),
-        front=(*certificate_tables(comparison), *figures),
+        front=(*compared_tables(comparison), *figures),
         sections=folded,
         footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
+    )
+
+
+def compared_tables(comparison: Comparison) -> tuple[ReportTable, ...]:
+    """Return the tables of page one of a comparison."""
+    return front_tables(comparison, (_compared(comparison), _scatter(comparison)), _AGREEMENT)
+
+
+def _compared(comparison: Comparison) -> ReportTable:
+    rows = [(one.name, one.format, one.stated_sigmas, one.verdict or MISSING) for one in comparison.calibrations]
+    return ReportTable("What was compared", ("name", "format", "standard deviations", "verdict"), rows, prose=True)
+
+
+def _scatter(comparison: Comparison) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    every = len(comparison.calibrations)
+    for block in comparison.blocks:
+        (scatter, unit), (predicted, _) = (typical_size(block, values) for values in (block.scatter, block.predicted))
+        z_rms = f"{number_text(block.z_rms, 3)} (≤ {number_text(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
+        notes = ["not judged"] * (not block.judged) + [f"by {len(block.names)} of {every}"] * (len(block.names) < every)
+        notes += [f"held by {', '.join(block.assumed)}"] * bool(block.assumed)
+        sizes = (number_text(scatter, 2), number_text(predicted, 2), readable_unit(unit))
+        rows.append((block_words(block.path), *sizes, z_rms, ", ".join(notes)))
+    return ReportTable(
+        "Scatter against predicted sigma",
+        ("block", "scatter", "predicted σ", "unit", "z rms", "remark"),
+        rows,
+        "Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, of a lens "
+        "over those in px. z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas "
+        "exceed in one of a hundred comparisons. Biases are new at each start, and not judged.",
+        dense=True,
+        stacked=True,
+        remarked=True,
     )
 
 
@@ -330,7 +368,7 @@ def draw_deviations(comparison: Comparison) -> Plot:
     panel.y.ticks, panel.y.grid = (), False
     panel.upright(0.0, "muted")
     for row, block in enumerate(blocks):
-        style = svg.TextStyle(color="muted", size=12, align="left")
+        style = TextStyle(color="muted", size=12, align="left")
         panel.text(block_words(block.path), -reach, row - 0.5, style, offset=(2.0, 15.0))
         _draw_block(panel, comparison, block, row, reach)
     count = len(comparison.calibrations)
@@ -364,3 +402,73 @@ def _draw_block(panel: Panel, comparison: Comparison, block: Repeatability, row:
         color = color_of(comparison, name)
         draw_dots(panel, sigmas[inside], place[inside], color, size=5.5)
         draw_dots(panel, np.clip(sigmas[~inside], -reach, reach), place[~inside], color, size=7.5, ring=True)
+
+
+def write_verification_report(verification: Verification, path: str | Path, subject: str = "") -> None:
+    """Write the report of a verification as one HTML file that needs neither network nor other files.
+
+    Parameters
+    ----------
+    subject : what was verified, and by which recording
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    write_whole(path, render_page(verification_page(verification, subject)))
+
+
+def verification_page(verification: Verification, subject: str = "") -> ReportPage:
+    """Return the page of a verification; see `write_verification_report`."""
+    untold = sum(one.state == "cannot tell" for one in verification.blocks)
+    return ReportPage(
+        title="Does the calibration still hold?",
+        subject=subject or verification.use,
+        verdict=verification.verdict,
+        headline=verification.headline[:1].upper() + verification.headline[1:],
+        key_numbers=(
+            KeyNumber("Blocks", str(len(verification.blocks))),
+            KeyNumber("Moved", str(len(verification.moved))),
+            KeyNumber("Not told", str(untold), "a longer recording may tell" if untold else ""),
+        ),
+        findings=tuple(typeset_finding(finding) for finding in verification.findings),
+        front=verified_tables(verification),
+        sections=(
+            Section(
+                "method",
+                "How this was found",
+                blocks=[
+                    Prose(
+                        (
+                            "The same numbers were estimated from the fresh recording, and the difference was held "
+                            "against the covariances of both. Each block was freed by itself (score test of Rao, "
+                            "1948); the least probable one is taken as moved, and the others are asked again beside it "
+                            "until none is certain, at one false alarm in a hundred calibrations that hold.",
+                            *verification.notes,
+                        )
+                    )
+                ],
+            ),
+        ),
+        footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
+    )
+
+
+def verified_tables(verification: Verification) -> tuple[ReportTable, ...]:
+    """Return the tables of page one of a verification."""
+    return front_tables(verification, (_moved(verification),))
+
+
+def _moved(verification: Verification) -> ReportTable:
+    return ReportTable(
+        "Block by block",
+        ("block", "moved by (± 1 σ)", f"{verification.use} needs", "z", "state"),
+        [tuple(map(readable_unit, movement_words(block))) for block in verification.blocks],
+        "By how much the recording finds each block elsewhere if all others hold, but those that moved; U is "
+        "twice the ± (k = 2, about 95 %). z: standard deviations of a single number that are as improbable; from "
+        f"{verification.certain_z:.1f} on a block moved for certain. Biases are new at each start: their ± includes "
+        "what is usual.",
+        dense=True,
+        stacked=True,
+    )

@@ -20,13 +20,24 @@ from ..results.sensor_noise import (
     AxisNoise,
     Coefficient,
     NoiseResult,
+    SensorNoise,
     TriadNoise,
 )
-from .certificate.tables import certificate_tables
+from .certificate import EXPANDED, NUMBER_HEAD, front_tables
 from .drawing.figures import AXES, Plot, Sheet, draw_envelope, log_limits, set_y_limits
 from .drawing.panel import DASHED, Panel
-from .numbers import finite_values, highest_finite, number_text, quantity_text, readable_unit, si_prefix, with_sigma
+from .numbers import (
+    MISSING,
+    finite_values,
+    highest_finite,
+    number_text,
+    quantity_text,
+    readable_unit,
+    si_prefix,
+    with_sigma,
+)
 from .page import (
+    NOISE_HEADLINES,
     Code,
     Figure,
     KeyNumber,
@@ -36,10 +47,10 @@ from .page import (
     ReportTable,
     Section,
     lift_figures,
+    provenance_section,
     render_page,
     typeset_finding,
 )
-from .sections import NOISE_HEADLINES, provenance_section
 
 COLORS = {"quantisation": "t1", "white_noise": "t2", "bias_instability": "t3", "random_walk": "t4", "rate_ramp": "t5"}
 """Kind of noise -> colour."""
@@ -84,8 +95,24 @@ def noise_page(result: NoiseResult, compared: DatasheetComparison | None = None)
         findings=tuple(typeset_finding(finding) for finding in noise.findings if finding.code != "assumed"),
         sections=(*folded, _conventions(), _use(), provenance_section(noise.provenance)),
         footer=f"Made by gnomon {noise.provenance.gnomon_version}. This file needs no network and no other file.",
-        front=(*certificate_tables(noise), *figures),
+        front=(*front_tables(noise, (noise_numbers(noise),)), *figures),
     )
+
+
+def noise_numbers(noise: SensorNoise) -> ReportTable:
+    """Return white noise and random walk of each axis for page one."""
+    rows: list[tuple[str, ...]] = []
+    for sensor, triad in noise.triads.items():
+        for kind in ("white_noise", "random_walk"):
+            for axis, own in zip("xyz", triad.axes, strict=True):
+                found = own.coefficients()[kind]
+                value, expanded = f"< {number_text(found.bound, 2)}", MISSING
+                if found.found:
+                    value, expanded = with_sigma(found.value, 2 * found.sigma)
+                name = f"{sensor.capitalize()} {kind.replace('_', ' ')} {axis}"
+                rows.append((name, value, expanded, readable_unit(UNITS[sensor][kind])))
+    note = f"{EXPANDED} Without U: not seen, an upper bound (about 97 %)."
+    return ReportTable("The numbers that matter", NUMBER_HEAD, rows, note, dense=True)
 
 
 def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:

@@ -8,11 +8,21 @@ from .._version import __version__
 from ..output import write_whole
 from ..results.result import Booleans
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
-from .certificate.tables import certificate_tables
+from .certificate import certificate_tables
 from .drawing.figures import AXES, Sheet, set_y_limits
 from .numbers import number_text
-from .page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
-from .sections import provenance_section
+from .page import (
+    Figure,
+    KeyNumber,
+    Legend,
+    Prose,
+    ReportPage,
+    ReportTable,
+    Section,
+    provenance_section,
+    render_page,
+    typeset_finding,
+)
 
 _HEADLINES = {
     "pass": "The temperature's effect is known.",

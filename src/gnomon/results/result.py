@@ -103,7 +103,7 @@ class Plotted:
             If the report has no such figure, or Matplotlib is not installed.
         """
         # Drawing comes after results on the data's way, so it is looked up by name when somebody asks for it.
-        return import_module("gnomon.report.plots").plot_result(self, name)
+        return import_module("gnomon.report.page").plot_result(self, name)
 
 
 @value_class

@@ -14,7 +14,7 @@ from gnomon.formats.own.calibration_text import save
 from gnomon.options.requirements import BETWEEN_RECORDINGS, USES
 from gnomon.readers.recordings import read_several
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 from gnomon.writers.diagnostics_file import save_diagnostics
 from html_page import Page
 

@@ -18,7 +18,7 @@ from gnomon.cli.inputs import sources_of
 from gnomon.cli.terminal import json_value
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
-from gnomon.report.certificate.tables import certificate_tables
+from gnomon.report.comparison import compared_tables
 from gnomon.report.numbers import MISSING
 from gnomon.results.calibration import TRUTH_METHOD
 from html_page import Page
@@ -83,7 +83,7 @@ def test_a_comparison_is_read_again_and_has_a_certificate(rig):
         for name in ("mon", "wed")
     }
     assert {source.name: source.sha256 for source in known.provenance.inputs} == hashes
-    stated, compared, blocks, criteria = certificate_tables(known)
+    stated, compared, blocks, criteria = compared_tables(known)
     assert stated.rows == [("Serial number", "A-17")]
     assert [row[2] for row in compared.rows] == ["stated", "stated", "not stated"]
     assert [row[0] for row in blocks.rows] == [block_words(block.path) for block in known.blocks]

@@ -9,7 +9,7 @@ import pytest
 from fleet_line import BETWEEN, SIGMA, SPREAD, healthy_line
 from gnomon.fleet.entries import line_table
 from gnomon.fleet.line import assess_line
-from gnomon.report.line import _gauge_studies, line_page
+from gnomon.report.library import _gauge_studies, line_page
 from gnomon.report.page import render_page
 
 

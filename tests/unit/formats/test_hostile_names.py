@@ -22,7 +22,7 @@ from gnomon.findings import Finding, printable_text
 from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.recording import Source
-from gnomon.report import write_report
+from gnomon.report.page import write_report
 from hostile.structured_targets import NOISE, StatedImu
 
 EVIL = (

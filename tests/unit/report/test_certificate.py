@@ -15,10 +15,9 @@ from gnomon.cli import main
 from gnomon.cli.command import CertificateFacts
 from gnomon.cli.inputs import result_with_reading
 from gnomon.errors import OptionError
-from gnomon.report import write_report
-from gnomon.report.certificate.pdf import write_certificate
-from gnomon.report.certificate.tables import budget_table, certificate_tables
-from gnomon.report.page import parameter_line
+from gnomon.report.certificate import budget_table, certificate_tables
+from gnomon.report.certificate_pdf import page_one, write_certificate
+from gnomon.report.page import parameter_line, write_report
 from gnomon.results.calibration import Covariance, Provenance
 from gnomon.results.sensor_noise import AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.results.sensors import TemperatureDependence
@@ -139,7 +138,7 @@ def test_noise_has_a_certificate_too(tmp_path):
     noise = SensorNoise(
         accelerometer=triad, gyroscope=None, t_init_s=np.nan, verdict="warn", findings=(), provenance=made
     )
-    stated, numbers, criteria = certificate_tables(noise)
+    stated, numbers, criteria = page_one(noise)
     assert stated.rows == [("Serial number", "A-17")]
     assert [row[1:3] for row in numbers.rows] == [
         ("0.002000", "0.000040"), ("0.002500", "0.000050"), ("0.003000", "0.000060"), *[("< 4·10⁻⁵", "–")] * 3

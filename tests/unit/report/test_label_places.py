@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gnomon.report.drawing.figures import TEXT, LabelPlaces, half_size
-from gnomon.report.drawing.rig import rig_drawing
+from gnomon.report.drawing.figures import TEXT
+from gnomon.report.drawing.rig import LabelPlaces, half_size, rig_drawing
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 
 

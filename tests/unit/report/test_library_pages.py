@@ -21,7 +21,7 @@ pytest.importorskip("uvicorn")
 from fleet_line import NAMES, device, healthy_line
 from gnomon.errors import OutputError
 from gnomon.fleet.library import Library
-from gnomon.report.library_pages import LibraryPages, LibraryServer
+from gnomon.report.library import LibraryPages, LibraryServer
 
 SCRIPT = "<script>alert(1)</script>"
 INJECTION = "SN1' OR '1'='1"

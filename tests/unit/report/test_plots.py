@@ -7,8 +7,7 @@ from camera_imu_result import make_camera_imu_result
 from gnomon.errors import OptionError
 from gnomon.report.drawing.figures import Sheet
 from gnomon.report.drawing.matplotlib_figure import draw_with_matplotlib, page_colors
-from gnomon.report.page import Figure
-from gnomon.report.plots import result_page
+from gnomon.report.page import Figure, result_page
 
 matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")

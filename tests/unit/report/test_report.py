@@ -10,10 +10,10 @@ import pytest
 
 from gnomon.errors import OutputError
 from gnomon.findings import Finding
-from gnomon.report import write_report
+from gnomon.report.certificate import parameter_groups
 from gnomon.report.drawing.figures import Sheet, coarsen_envelope, draw_dots, thin_points
-from gnomon.report.imu_parameters import parameter_groups
 from gnomon.report.numbers import fixed_text, number_text, quantity_text, si_prefix, with_sigma
+from gnomon.report.page import write_report
 from gnomon.results.result import Result
 from gnomon.results.sensor_diagnostics import DetectorTrace
 from html_page import Page

@@ -11,14 +11,20 @@ from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM
 from gnomon.cli.summary import held_lines
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.report import write_report
-from gnomon.report.camera_imu.sections import imu_section
+from gnomon.report.camera_imu.page import imu_section
 from gnomon.report.camera_imu.signals import rig_motion, signal_name, telling_section
-from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting_text, nominal_mounting
-from gnomon.report.corner_figures import draw_residual_field
-from gnomon.report.corner_view import corner_view, field_magnification
-from gnomon.report.estimation import every_parameter
-from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
+from gnomon.report.corners import corner_view, draw_residual_field, field_magnification
+from gnomon.report.page import write_report
+from gnomon.report.rig_parameters import (
+    NOT_ABOVE,
+    baseline_groups,
+    camera_groups,
+    imu_groups,
+    mounting_text,
+    nominal_mounting,
+    other_reading,
+)
+from gnomon.report.trust import every_parameter
 from gnomon.results.calibration import Covariance
 from gnomon.results.camera_diagnostics import SceneMap, SignalFit
 from html_page import Page

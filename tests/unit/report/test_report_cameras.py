@@ -12,8 +12,6 @@ from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
-from gnomon.report import write_report
-from gnomon.report.camera_parameters import pose_numbers
 from gnomon.report.cameras.lens import (
     field_of_view,
     focal_at_axis,
@@ -24,7 +22,9 @@ from gnomon.report.cameras.lens import (
 )
 from gnomon.report.cameras.sections import board_section
 from gnomon.report.cameras.views import epipolar_errors, views_around
-from gnomon.report.corner_figures import unseen_places, view_groups
+from gnomon.report.corners import unseen_places, view_groups
+from gnomon.report.page import write_report
+from gnomon.report.rig_parameters import pose_numbers
 from gnomon.results.calibration import Covariance
 from gnomon.results.camera_diagnostics import ViewPose
 from gnomon.simulate.cameras import simulate_cameras

@@ -10,9 +10,9 @@ from gnomon.assess.cameras.cameras_tables import CELLS
 from gnomon.models.camera import Camera
 from gnomon.readers.samples.table import guess_time_unit
 from gnomon.recording import TriadSamples
-from gnomon.report import write_report
 from gnomon.report.cameras.lens import projection_spread
 from gnomon.report.numbers import percent_text
+from gnomon.report.page import write_report
 from html_page import Page
 from report_numbers import Shown, number, parameters_shown
 

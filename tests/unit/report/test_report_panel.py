@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gnomon.report.drawing import svg
 from gnomon.report.drawing.figures import Sheet, log_limits
-from gnomon.report.drawing.panel import DASHED, Panel, Scale, decade_ticks, round_numbers
+from gnomon.report.drawing.panel import DASHED, Panel, area_path, dot_path, line_path
+from gnomon.report.numbers import Scale, decade_ticks, round_numbers
 
 
 @pytest.mark.parametrize(
@@ -81,10 +81,10 @@ def test_ticks_beyond_the_panel_are_left_out_and_labels_have_true_minus_signs():
 def test_a_line_is_interrupted_by_what_is_not_known():
     x = np.array([np.nan, 1.0, 2.0, 3.0, 4.0, 5.0])
     y = np.array([0.0, 1.234, -0.001, np.nan, 1e9, 7.0])
-    assert svg.line_path(x, y) == "M1 1.23 2 0M4 99999 5 7"
-    assert svg.area_path(x, y) == "M1 1.23 2 0zM4 99999 5 7z"
-    assert svg.dot_path(x, y) == "M1 1.23h0M2 0h0M4 99999h0M5 7h0"
-    assert svg.line_path(x[:1], y[:1]) == svg.area_path(x[:0], y[:0]) == ""
+    assert line_path(x, y) == "M1 1.23 2 0M4 99999 5 7"
+    assert area_path(x, y) == "M1 1.23 2 0zM4 99999 5 7z"
+    assert dot_path(x, y) == "M1 1.23h0M2 0h0M4 99999h0M5 7h0"
+    assert line_path(x[:1], y[:1]) == area_path(x[:0], y[:0]) == ""
 
 
 def drawn(paint):

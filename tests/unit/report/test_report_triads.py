@@ -9,10 +9,10 @@ import pytest
 
 import triad_result
 from gnomon.findings import Finding
-from gnomon.report import write_report
-from gnomon.report.imu_parameters import parameter_groups
+from gnomon.report.certificate import parameter_groups
 from gnomon.report.numbers import magnitude_text, magnitude_unit
-from gnomon.report.static.figures import _covered, _labels
+from gnomon.report.page import write_report
+from gnomon.report.static.vectors import _covered, _labels
 from gnomon.results.result import Result
 from gnomon.results.sensors import ImuCalibration
 from gnomon.writers.diagnostics_file import save_diagnostics

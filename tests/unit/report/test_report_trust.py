@@ -8,7 +8,7 @@ import pytest
 
 from gnomon.cli.summary import trust_lines
 from gnomon.report.page import Figure, Prose, ReportTable
-from gnomon.report.trust_section import trust_section
+from gnomon.report.trust import trust_section
 from gnomon.results.calibration import Assessment
 from gnomon.results.trust import Clusters, Trust, UncertaintySummary
 from gnomon.writers.diagnostics_file import diagnostic_arrays

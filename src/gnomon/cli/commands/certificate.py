@@ -52,7 +52,7 @@ class Certificate(Command):
                 raise OptionError(f"{output}: an XML certificate is of a calibration; of anything else make a PDF.")
             write_digital_certificate(result, output, country=self.country)
         else:
-            from ...report.certificate.pdf import write_certificate
+            from ...report.certificate_pdf import write_certificate
 
             write_certificate(result, output)
         terminal.print(f"certificate  {output}")

@@ -161,7 +161,7 @@ class LibraryCommand(Command):
         return {"charts": charts, "findings": line.findings}
 
     def _report(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
-        from ...report.line import write_line_report
+        from ...report.library import write_line_report
 
         line = self._line(library, terminal, details=True)
         terminal.progress("drawing the report")
@@ -184,7 +184,7 @@ class LibraryCommand(Command):
 
     def _serve(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
         from ...fleet.library import without_password
-        from ...report.library_pages import LibraryPages, LibraryServer
+        from ...report.library import LibraryPages, LibraryServer
 
         pages = LibraryPages(library, without_password(self.library), self.kind)
         pages.prepare()

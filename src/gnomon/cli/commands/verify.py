@@ -117,7 +117,7 @@ class Verify(Command, TableOptions):
 
 def _write(found: "Verification", folder: Path, terminal: Terminal, subject: str) -> None:
     from ...output import write_whole
-    from ...report.verification import write_verification_report
+    from ...report.comparison import write_verification_report
 
     with result_folder(folder, "verify", own=(PAGE, DATA)) as staging:
         terminal.progress("drawing the report")

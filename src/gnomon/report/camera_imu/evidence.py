@@ -4,9 +4,15 @@ import numpy as np
 
 from ...recording import Floats
 from ...results.camera_diagnostics import CameraImuDiagnostics, SignalFit
-from ..corner_figures import draw_corner_density
-from ..corner_view import CornerView
-from ..corners import corner_scatter, field_figure, frames_figure, frames_left_out, time_legends
+from ..corners import (
+    CornerView,
+    corner_scatter,
+    draw_corner_density,
+    field_figure,
+    frames_figure,
+    frames_left_out,
+    time_legends,
+)
 from ..numbers import (
     finite_rms,
     finite_values,

@@ -9,7 +9,7 @@ from ...geometry.quaternion import rotation_from_quaternion
 from ...geometry.rotation_vector import tangent_basis
 from ...recording import Floats
 from ...results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
-from ..corner_figures import TIMES, time_spans
+from ..corners import TIMES, time_spans
 from ..drawing.figures import (
     AXES,
     SPHERE_HEIGHT,

@@ -17,11 +17,9 @@ from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Calibration
 from ...results.camera_diagnostics import LensTrial
-from ..corner_figures import image_panels, images_height
-from ..corner_view import CornerView
-from ..drawing import svg
+from ..corners import CornerView, image_panels, images_height
 from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
-from ..drawing.panel import DASHED
+from ..drawing.panel import DASHED, TextStyle
 from ..numbers import finite_values, highest_finite, number_text, positive_or
 
 SPREAD_COLUMNS = 30
@@ -308,7 +306,7 @@ def draw_ray_sigmas(views: Mapping[str, CornerView], found: Mapping[str, Project
                 if np.isfinite(one.sigma[k]):
                     at = one.corner[k] + np.array(one.size) / 2
                     seen = bool(one.seen[k])
-                    style = svg.TextStyle(color="ink" if seen else "muted", size=TEXT, align="center", bold=seen)
+                    style = TextStyle(color="ink" if seen else "muted", size=TEXT, align="center", bold=seen)
                     text = number_text(float(one.sigma[k]), 2, trim=False)
                     panel.text(text, float(at[0]), float(at[1]), style, offset=(0.0, 4.0))
     return sheet.draw("spread", images_height(views), "Standard deviation of the image of a ray over the image.")

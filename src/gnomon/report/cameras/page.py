@@ -10,13 +10,12 @@ from ...recording import Floats
 from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics
 from ..camera_images import images_section
-from ..camera_parameters import pose_numbers
-from ..corner_view import CornerView, corner_view
-from ..estimation import noise_table, parameters_section, steps_table
+from ..certificate import calibration_page
+from ..corners import CornerView, corner_view
 from ..numbers import MISSING, finite_values, number_text, percent_text, with_sigma
-from ..page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
-from ..sections import calibration_page, provenance_section
-from ..trust_section import trust_section
+from ..page import Code, KeyNumber, Prose, ReportPage, Section, provenance_section, typeset_finding
+from ..rig_parameters import pose_numbers
+from ..trust import noise_table, parameters_section, steps_table, trust_section
 from . import sections
 from .lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
 

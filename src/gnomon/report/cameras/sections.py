@@ -8,10 +8,16 @@ from ...findings import join_names
 from ...recording import Floats
 from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, LensTrial
-from ..camera_parameters import lens_groups, pose_groups
-from ..corner_figures import draw_arrows, draw_corner_coverage, unseen_places
-from ..corner_view import CornerView
-from ..corners import corner_scatter, field_figure, frames_figure, frames_left_out
+from ..corners import (
+    CornerView,
+    corner_scatter,
+    draw_arrows,
+    draw_corner_coverage,
+    field_figure,
+    frames_figure,
+    frames_left_out,
+    unseen_places,
+)
 from ..drawing.figures import WIDTH, Plot, Sheet, draw_dots
 from ..drawing.rig import rig_drawing
 from ..numbers import (
@@ -24,8 +30,8 @@ from ..numbers import (
     percent_text,
     positive_or,
 )
-from ..page import Block, Code, Figure, Legend, ParameterTable, ReportTable, Section
-from ..sections import aligned_matrix
+from ..page import Block, Code, Figure, Legend, ParameterTable, ReportTable, Section, aligned_matrix
+from ..rig_parameters import lens_groups, pose_groups
 from . import lens, views
 from .lens import ProjectionSpread, RadialCurve
 from .views import epipolar_errors

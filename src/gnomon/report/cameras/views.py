@@ -10,9 +10,9 @@ from ...models.camera import Camera
 from ...recording import Floats, Integers
 from ...results.calibration import Calibration
 from ...results.camera_diagnostics import CornerFit, ViewPose
-from ..drawing import svg
-from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots, fit_to_scale, half_panel
-from ..drawing.panel import Panel
+from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots, half_panel
+from ..drawing.panel import Panel, TextStyle
+from ..drawing.rig import fit_to_scale
 from ..numbers import finite_values, number_text, positive_or
 
 _MOST_DRAWN = 120
@@ -118,7 +118,7 @@ def draw_views_in_space(around: ViewsAround) -> Plot:
     panel.line(board[:, 0], board[:, 1], "ink", width=1.6, depth=board[:, 2])
     wide = f"{number_text(float(np.ptp(around.board[:, 0])), 3)} m"
     x, y, depth = board[:2].mean(axis=0).tolist()
-    panel.text(wide, x, y, svg.TextStyle(color="muted", size=TEXT, align="center"), offset=(0.0, 28.0), depth=depth)
+    panel.text(wide, x, y, TextStyle(color="muted", size=TEXT, align="center"), offset=(0.0, 28.0), depth=depth)
     points = _seen(around.points)
     panel.dots(points[:, 0], points[:, 1], "before", 2.2, depth=points[:, 2])
     _draw_outlines(panel, flat, telling)

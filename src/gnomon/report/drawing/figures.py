@@ -12,8 +12,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats
 from ..numbers import finite_values, positive_or
-from . import svg
-from .panel import DASHED, Panel
+from .panel import DASHED, Align, Panel, TextStyle, text_element
 
 AXES = ("x", "y", "z")
 WIDTH = 760.0
@@ -31,7 +30,7 @@ class SheetText:
     text: str
     x: float
     y: float
-    style: svg.TextStyle
+    style: TextStyle
 
 
 @value_class(kw_only=False)
@@ -59,7 +58,7 @@ class Plot:
 
         frame = f'viewBox="0 0 {WIDTH:g} {self.height:g}" role="img" aria-label="{escape(self.alt)}"'
         panels = [panel.svg(f"{self.name}-{i}") for i, panel in enumerate(self.panels)]
-        texts = [svg.text_element(text.text, text.x, text.y, text.style) for text in self.texts]
+        texts = [text_element(text.text, text.x, text.y, text.style) for text in self.texts]
         return f'<svg class="plot" {frame}>{"".join([*panels, *texts])}</svg>'
 
 
@@ -88,12 +87,10 @@ class Sheet:
         self.panels.append(panel)
         return panel
 
-    def text(
-        self, text: str, *, x: float, y: float, color: str, align: svg.Align = "left", weight: str = "normal"
-    ) -> None:
+    def text(self, text: str, *, x: float, y: float, color: str, align: Align = "left", weight: str = "normal") -> None:
         """Write a line of text with its baseline at y."""
         if text:
-            style = svg.TextStyle(color=color, size=TEXT, align=align, bold=weight == "bold")
+            style = TextStyle(color=color, size=TEXT, align=align, bold=weight == "bold")
             self._texts.append(SheetText(text, x, y, style))
 
     def draw(self, name: str, height: float, alt: str) -> Plot:
@@ -202,61 +199,6 @@ def lambert_projection(directions: Floats, side: float) -> Floats:
     return np.stack([directions[:, 0] * stretch, side * directions[:, 1] * stretch], axis=1)
 
 
-_APART = 2.5  # figure units between the points by which lines are seen
-_LETTER = 0.62  # width of a letter over its size
-_ROOM = 1.25  # letters are larger on small screens
-_LATER = 0.1  # cost of a later candidate
-_COVERED = 12.0  # units of lines under a label beyond which it cannot be read
-
-
-class LabelPlaces:
-    """Hands out places for labels, in figure units (right, down).
-
-    Parameters
-    ----------
-    lines : (n, 2, 2) ends of everything that is drawn
-    width, height : of the drawing
-    """
-
-    def __init__(self, lines: Floats, width: float, height: float) -> None:
-        steps = [np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(b - a) / _APART))[:, None] for a, b in lines]
-        points = [a + step * (b - a) for (a, b), step in zip(lines, steps, strict=True)]
-        self._points = np.concatenate(points) if points else np.empty((0, 2))
-        self._edge = np.array([width, height])
-        self._taken: list[tuple[Floats, Floats]] = []
-
-    def take(self, text: str, candidates: Floats) -> Floats:
-        """Return the centre (2,) of the best place for a text, earlier candidates (n, 2) first."""
-        best, _ = self._best(text, candidates)
-        self._taken.append((best, half_size(text)))
-        return best
-
-    def take_free(self, text: str, candidates: Floats) -> Floats | None:
-        """Return the same, and None where the text could not be read in any place."""
-        best, cost = self._best(text, candidates)
-        if cost > _COVERED:
-            return None
-        self._taken.append((best, half_size(text)))
-        return best
-
-    def _best(self, text: str, candidates: Floats) -> tuple[Floats, float]:
-        costs = [self._cost(centre, half_size(text)) for centre in candidates]
-        best = int(np.argmin(np.array(costs) + _LATER * np.arange(len(costs))))
-        return candidates[best], costs[best]
-
-    def _cost(self, centre: Floats, half: Floats) -> float:
-        """Return units of lines under a label, more where it lies on another one or over the edge."""
-        covered = _APART * float(np.count_nonzero((np.abs(self._points - centre) < half).all(axis=1)))
-        shared = [np.clip(half + other_half - np.abs(centre - other), 0, None) for other, other_half in self._taken]
-        beyond = np.clip(half - centre, 0, None) + np.clip(centre + half - self._edge, 0, None)
-        return covered + 3 * sum(float(np.prod(s)) for s in shared) + 10 * float(beyond.sum())
-
-
-def half_size(text: str) -> Floats:
-    """Return half of the width and of the height (2,) that a label takes, with some room."""
-    return 0.5 * _ROOM * TEXT * np.array([_LETTER * len(text), 1.0])
-
-
 def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> Panel:
     """Return a panel of half the width of the sheet, on the left for even places and on the right for odd ones."""
     edge = (place % 2) * WIDTH / 2
@@ -284,19 +226,3 @@ def draw_histograms(
         top = max(top, float(density.max()))
     panel.x.span(-reach, reach)
     panel.y.span(0, 1.05 * positive_or(top))
-
-
-def fit_to_scale(panel: Panel, drawn: Floats, height: float, room: tuple[float, float]) -> None:
-    """Give a panel as wide as the sheet limits that hold all points (n, 2), to scale, with room for labels.
-
-    A third column is their depth towards the reader, who can then turn what is drawn.
-    """
-    known = drawn[np.isfinite(drawn).all(axis=1)]
-    if not len(known):
-        return
-    low, high = known.min(axis=0), known.max(axis=0)
-    middle, size = (low + high) / 2, high - low
-    panel.middle_depth = float(middle[2]) if len(middle) > 2 else None
-    scale = max(size[0] / (WIDTH - room[0]), size[1] / (height - room[1]), 1e-9)
-    panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
-    panel.y.span(middle[1] - scale * height / 2, middle[1] + scale * height / 2)

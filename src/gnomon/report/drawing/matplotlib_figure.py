@@ -10,9 +10,8 @@ import numpy as np
 
 from ...errors import OptionError, install_line
 from ...recording import Floats
-from . import svg
 from .figures import TEXT, WIDTH, Plot
-from .panel import Panel, Shape
+from .panel import Panel, Shape, TextStyle, box_path, dot_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +43,7 @@ def draw_with_matplotlib(drawings: Sequence[tuple[str, Plot, Sequence["Legend"]]
     figure = pyplot.figure(figsize=(WIDTH / 100, whole / 100))
     top = 0.0
     for (title, drawing, legend), height in zip(drawings, heights, strict=True):
-        _write(figure, title, svg.TextStyle(color="ink", size=1.15 * TEXT, bold=True), (0.0, top + 0.6 * _TITLE), whole)
+        _write(figure, title, TextStyle(color="ink", size=1.15 * TEXT, bold=True), (0.0, top + 0.6 * _TITLE), whole)
         for panel in drawing.panels:
             _draw_panel(figure, panel, top + _TITLE, whole)
         for text in drawing.texts:
@@ -67,12 +66,12 @@ def page_colors() -> dict[str, str]:
     }
 
 
-def _write(figure: "Figure", text: str, style: svg.TextStyle, place: tuple[float, float], whole: float) -> None:
+def _write(figure: "Figure", text: str, style: TextStyle, place: tuple[float, float], whole: float) -> None:
     """Write a text with its baseline at a place in figure units from the top-left corner."""
     figure.text(place[0] / WIDTH, 1 - place[1] / whole, text, **_type(style))
 
 
-def _type(style: svg.TextStyle) -> dict[str, Any]:
+def _type(style: TextStyle) -> dict[str, Any]:
     """Return how Matplotlib writes a text."""
     return {
         "color": page_colors()[style.color], "fontsize": _POINT * style.size, "horizontalalignment": style.align,
@@ -118,14 +117,14 @@ def _draw_shape(axes: "Axes", shape: Shape, rim: float | None, order: int) -> No
     style, color = shape.style, page_colors()[shape.style.color]
     place = {"": axes.transData, "x": axes.get_yaxis_transform(), "y": axes.get_xaxis_transform()}[shape.shares]
     common: dict[str, Any] = {"transform": place, "alpha": style.alpha, "clip_on": shape.clip, "zorder": order}
-    if shape.path is svg.dot_path:
+    if shape.path is dot_path:
         artist = axes.plot(
             shape.x, shape.y, "o", color=color, markersize=_POINT * style.width, markeredgewidth=0, **common
         )[0]
     elif style.filled:
         from matplotlib.collections import PolyCollection
 
-        outlines = _boxes(shape) if shape.path is svg.box_path else _areas(shape)
+        outlines = _boxes(shape) if shape.path is box_path else _areas(shape)
         artist = axes.add_collection(
             PolyCollection(outlines, facecolor=color, edgecolor=color, linewidth=_POINT * style.width, **common),
             autolim=False,

@@ -1,109 +1,143 @@
-"""One panel of a figure: two scales, and the lines, areas, dots and texts that are drawn between them."""
+"""One panel of a figure: lines, areas, dots and texts between two scales, and the pieces of SVG that they become."""
 
 from collections.abc import Callable, Sequence
-from math import ceil, floor, isfinite, log10
 from typing import Literal
 
 import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats
-from ..numbers import number_text, power_of_ten
-from . import svg
+from ..numbers import Scale
 
-_STEPS = (1.0, 2.0, 2.5, 5.0)
+Align = Literal["left", "center", "right"]
+_FAR = 99_999.0
+"""Nothing is drawn farther out than this [figure units], where no screen shows it."""
+MIDDLE = 0.26
+"""Height of the middle of a line of text above its baseline, in sizes of the font."""
 
 
-class Scale:
-    """Numbers along one direction of a panel.
+def color_variable(name: str) -> str:
+    """Return a colour that page.css defines as --plot-NAME, so that one figure serves light, dark and paper."""
+    return f"var(--plot-{name})"
+
+
+def short_number(value: float) -> str:
+    """Return a number of figure units with two decimals at most."""
+    return f"{round(value, 2) + 0.0:.7g}"
+
+
+def line_path(x: Floats, y: Floats) -> str:
+    """Return the path through places (n,); nan interrupts it."""
+    text, places = _pieces(x, y, "M")
+    return text % places
+
+
+def area_path(x: Floats, y: Floats) -> str:
+    """Return the path around areas, whose corners (n,) are separated by nan."""
+    text, places = _pieces(x, y, "zM")
+    return f"{text[1:]}z" % places if text else ""
+
+
+def _pieces(x: Floats, y: Floats, move: str) -> tuple[str, tuple[float, ...]]:
+    """Return the format of a path, in which `move` begins each piece, and its numbers."""
+    known = np.isfinite(x) & np.isfinite(y)
+    begins = np.flatnonzero((known & ~np.concatenate([[False], known[:-1]]))[known])
+    lengths = np.diff(begins, append=np.count_nonzero(known))
+    text = "".join([f"{move}%.7g %.7g{' %.7g %.7g' * (length - 1)}" for length in lengths.tolist()])
+    return text, _rounded(x[known], y[known])
+
+
+def dot_path(x: Floats, y: Floats) -> str:
+    """Return a path of lines of no length at places (n,), which round ends show as dots."""
+    known = np.isfinite(x) & np.isfinite(y)
+    return "M%.7g %.7gh0" * int(known.sum()) % _rounded(x[known], y[known])
+
+
+def box_path(x: Floats, y: Floats) -> str:
+    """Return the path around upright rectangles, whose two edges along x and along y are given, (n, 2)."""
+    return "M%.7g %.7gH%.7gV%.7gH%.7gz" * len(x) % _rounded(x[:, 0], y[:, 0], x[:, 1], y[:, 1], x[:, 0])
+
+
+def _rounded(*columns: Floats) -> tuple[float, ...]:
+    """Return the numbers of columns (n,), row by row."""
+    places = np.round(np.clip(np.stack(columns, axis=1), -_FAR, _FAR), 2) + 0.0  # no minus zero
+    return tuple(places.ravel().tolist())
+
+
+@value_class(eq=True)
+class ShapeStyle:
+    """How a shape is drawn: its outline, and whether it is filled.
 
     Attributes
     ----------
-    low, high : numbers at its two ends; the second may be the smaller one
-    logarithmic : whether equal lengths are equal ratios
-    ticks : numbers that are marked; None for round ones
-    most : how many intervals there are between round ticks at most
-    whole : whether round ticks are integers
-    labelled : whether ticks have labels
-    grid : whether lines are drawn across the panel at the ticks
-    timed : whether they are seconds since the recording began, so that figures are zoomed together
+    color : page.css defines it as --plot-NAME
+    width : of the line in figure units; 0 for none
+    dash : lengths of dashes and gaps, in widths of the line
+    alpha : opacity of the line, or of the area
+    ends : of lines; "miter" for steps with sharp corners
+    filled : whether it is an area
     """
 
-    def __init__(self, start: float, length: float, most: int) -> None:
-        self.low, self.high = 0.0, 1.0
-        self.logarithmic = False
-        self.ticks: Sequence[float] | None = None
-        self.most = most
-        self.whole = False
-        self.labelled = True
-        self.grid = False
-        self.timed = False
-        self._start, self._length = start, length
+    color: str
+    width: float = 1.0
+    dash: tuple[float, ...] = ()
+    alpha: float = 1.0
+    ends: Literal["square", "round", "butt", "miter"] = "square"
+    filled: bool = False
 
-    def span(self, low: float, high: float) -> None:
-        """Let the panel reach from one number to another."""
-        self.low, self.high = float(low), float(high)
-
-    def places(self, values: Floats) -> Floats:
-        """Return where numbers (...,) are drawn [figure units]; nan where a logarithm has no place for them."""
-        low, high = self.low, self.high
-        if self.logarithmic:
-            values, low, high = np.log10(np.where(values > 0, values, np.nan)), log10(low), log10(high)
-        return self.shares((values - low) / ((high - low) or 1.0))
-
-    def shares(self, values: Floats) -> Floats:
-        """Return where shares (...,) of the panel's length are drawn [figure units]."""
-        return self._start + values * self._length
-
-    def marks(self) -> list[tuple[float, str]]:
-        """Return the ticks within the panel: where they are drawn, and their labels."""
-        ticks, labels = self.ticks_within()
-        return list(zip(self.places(ticks).tolist(), labels, strict=True))
-
-    def ticks_within(self) -> tuple[Floats, list[str]]:
-        """Return the ticks within the panel as numbers of the scale (n,), and their labels."""
-        low, high = sorted((self.low, self.high))
-        ticks = self.ticks
-        if ticks is None:
-            ticks = (
-                decade_ticks(low, high) if self.logarithmic else round_numbers(low, high, self.most, whole=self.whole)
-            )
-        margin = 1e-9 * (high - low)
-        inside = np.array([tick for tick in ticks if low - margin <= tick <= high + margin])
-        return inside, list(map(self._label, inside.tolist()))
-
-    def _label(self, tick: float) -> str:
-        if not self.logarithmic:
-            return number_text(tick, 6)
-        return number_text(tick, 3) if 1e-4 < tick < 1e4 else power_of_ten(round(log10(tick)))
+    def css(self) -> str:
+        """Return it for an element of SVG; dashes end where they end."""
+        color, opacity = color_variable(self.color), f"opacity:{self.alpha:g}"
+        if self.filled:
+            style = f"fill:{color}" + (f";fill-{opacity}" if self.alpha < 1 else "")
+            return style + (f";stroke:{color};stroke-width:{self.width:g}" if self.width else "")
+        style = f"fill:none;stroke:{color}"
+        style += "" if self.width == 1 else f";stroke-width:{self.width:g}"
+        style += f";stroke-{opacity}" if self.alpha < 1 else ""
+        if self.dash:
+            return f"{style};stroke-dasharray:{' '.join(short_number(self.width * part) for part in self.dash)}"
+        if self.ends == "miter":
+            return f"{style};stroke-linejoin:miter"
+        return style if self.ends == "butt" else f"{style};stroke-linecap:{self.ends}"
 
 
-def round_numbers(low: float, high: float, most: int, *, whole: bool = False) -> Sequence[float]:
-    """Return the round numbers of a span, in the smallest steps that make so many intervals at most.
+def dot_css(style: ShapeStyle) -> str:
+    """Return the style of dots; they keep their size on the screen when a figure is zoomed, so that they come apart."""
+    return (
+        f"fill:none;stroke:{color_variable(style.color)};stroke-width:calc({style.width:g}px / var(--plot-zoom, 1));"
+        "stroke-linecap:round"
+    )
 
-    Steps are 1, 2, 2.5 and 5 times a power of ten; `whole` leaves out those that are no integers, and 2.5 times. Where
-    there would not be two numbers, smaller steps are taken.
+
+@value_class(eq=True)
+class TextStyle:
+    """How a text is written: colour of page.css, size in figure units, and which part of it stands at its place."""
+
+    color: str
+    size: float
+    align: Align = "left"
+    bold: bool = False
+
+    def css(self) -> str:
+        """Return it for an element of SVG; page.css multiplies its size by --plot-text, raised on small screens."""
+        anchor = {"left": "", "center": ";text-anchor:middle", "right": ";text-anchor:end"}[self.align]
+        weight = ";font-weight:600" if self.bold else ""
+        return f"--size:{self.size:g}px{anchor};fill:{color_variable(self.color)}{weight}"
+
+
+def text_element(
+    text: str, x: float, y: float, style: TextStyle | None = None, *, shift: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """Return a line of text with its baseline at y; without a style it has that of its group.
+
+    A shift, in heights of the letters, grows with them.
     """
-    least = (high - low) / most
-    if not (isfinite(least) and least > 0):
-        return ()
-    power = floor(log10(least))
-    steps = [step * 10.0**k for k in (power - 1, power, power + 1) for step in _STEPS]
-    if whole:
-        steps = [step * 10.0**k for k in range(max(power, 0) + 2) for step in _STEPS if step != 2.5]
-    wanted = next(i for i, step in enumerate(steps) if step >= least * (1 - 1e-9))
-    ticks: list[float] = []
-    for step in reversed(steps[: wanted + 1]):
-        ticks = [k * step for k in range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)]
-        if len(ticks) > 1:
-            break
-    return ticks
+    from markupsafe import escape
 
-
-def decade_ticks(low: float, high: float, most: int = 6) -> Sequence[float]:
-    """Return the powers of ten of a span, or so many of them at equal distances."""
-    first, last = ceil(log10(low) - 1e-9), floor(log10(high) + 1e-9)
-    return [10.0**k for k in range(first, last + 1, max(1, -(-(last - first) // (most - 1))))]
+    drawable = text.encode("utf-8", "backslashreplace").decode()  # bytes that were no text, shown as escapes
+    styled = f' style="{style.css()}"' if style else ""
+    moved = f' dx="{shift[0]:.3g}em" dy="{shift[1]:.3g}em"' if any(shift) else ""
+    return f'<text{styled} x="{short_number(x)}" y="{short_number(y)}"{moved}>{escape(drawable)}</text>'
 
 
 DASHED = (4.0, 3.0)
@@ -133,7 +167,7 @@ class Shape:
     x: Floats
     y: Floats
     path: Callable[[Floats, Floats], str]
-    style: svg.ShapeStyle
+    style: ShapeStyle
     shares: Literal["", "x", "y"] = ""
     group: str = ""
     clip: bool = True
@@ -150,7 +184,7 @@ class PanelText:
     text: str
     x: float
     y: float
-    style: svg.TextStyle
+    style: TextStyle
     offset: tuple[float, float]
     fine: bool
     depth: float | None
@@ -199,47 +233,47 @@ class Panel:
         depth: Floats | None = None,
     ) -> None:
         """Draw a line through points (n,); nan interrupts it. `depth` (n,) lets a reader turn it in space."""
-        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash), alpha=alpha, ends=ends)
-        self._lines.append(Shape(x=x, y=y, path=svg.line_path, style=style, clip=clip, depth=depth))
+        style = ShapeStyle(color=color, width=width, dash=tuple(dash), alpha=alpha, ends=ends)
+        self._lines.append(Shape(x=x, y=y, path=line_path, style=style, clip=clip, depth=depth))
 
     def across(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the left edge to the right one at a number of the y scale."""
-        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash))
+        style = ShapeStyle(color=color, width=width, dash=tuple(dash))
         ends = np.array([0.0, 1.0])
-        self._lines.append(Shape(x=ends, y=np.full(2, value), path=svg.line_path, style=style, shares="x"))
+        self._lines.append(Shape(x=ends, y=np.full(2, value), path=line_path, style=style, shares="x"))
 
     def upright(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the bottom to the top at a number of the x scale."""
-        style = svg.ShapeStyle(color=color, width=width, dash=tuple(dash))
+        style = ShapeStyle(color=color, width=width, dash=tuple(dash))
         ends = np.array([0.0, 1.0])
-        self._lines.append(Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
+        self._lines.append(Shape(x=np.full(2, value), y=ends, path=line_path, style=style, shares="y"))
 
     def shade(self, start: Floats, stop: Floats, color: str, *, alpha: float) -> None:
         """Fill from the bottom to the top between numbers (n,) of the x scale."""
         if len(start):
             x, y = np.stack([start, stop], axis=1), np.tile([0.0, 1.0], (len(start), 1))
-            style = svg.ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True)
-            self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, shares="y"))
+            style = ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True)
+            self._areas.append(Shape(x=x, y=y, path=box_path, style=style, shares="y"))
 
     def steps(self, height: Floats, edges: Floats, color: str) -> None:
         """Draw heights (n,) between edges (n + 1,)."""
-        style = svg.ShapeStyle(color=color, width=1.5, ends="miter")
+        style = ShapeStyle(color=color, width=1.5, ends="miter")
         x, y = np.repeat(edges, 2)[1:-1], np.repeat(height, 2)
-        self._areas.append(Shape(x=x, y=y, path=svg.line_path, style=style))
+        self._areas.append(Shape(x=x, y=y, path=line_path, style=style))
 
     def dots(self, x: Floats, y: Floats, color: str, size: float, *, depth: Floats | None = None) -> None:
         """Draw points (n,) as one path of round strokes, which takes a tenth of the bytes of markers."""
-        style = svg.ShapeStyle(color=color, width=size)
-        self._lines.append(Shape(x=x, y=y, path=svg.dot_path, style=style, group="dots", clip=False, depth=depth))
+        style = ShapeStyle(color=color, width=size)
+        self._lines.append(Shape(x=x, y=y, path=dot_path, style=style, group="dots", clip=False, depth=depth))
 
     def strip(self, low: float, high: float, color: str, *, alpha: float) -> None:
         """Fill between two numbers of the y scale, from the left edge to the right one."""
         x, y, style = (
             np.array([[0.0, 1.0]]),
             np.array([[low, high]]),
-            svg.ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True),
+            ShapeStyle(color=color, width=0.0, alpha=alpha, filled=True),
         )
-        self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, shares="x"))
+        self._areas.append(Shape(x=x, y=y, path=box_path, style=style, shares="x"))
 
     def band(self, x: Floats, low: Floats, high: Floats, color: str, *, alpha: float = 1.0, edge: float = 0.0) -> None:
         """Fill between two lines (n,), wherever both are known; `edge` is the width of the outline."""
@@ -251,8 +285,8 @@ class Panel:
         ]
         gap = np.full((2, 1), np.nan)
         outline = np.concatenate([part for piece in pieces for part in (piece, gap)], axis=1) if pieces else gap
-        style = svg.ShapeStyle(color=color, width=edge, alpha=alpha, filled=True)
-        self._areas.append(Shape(x=outline[0], y=outline[1], path=svg.area_path, style=style))
+        style = ShapeStyle(color=color, width=edge, alpha=alpha, filled=True)
+        self._areas.append(Shape(x=outline[0], y=outline[1], path=area_path, style=style))
 
     def cells(self, corners: Floats, size: tuple[float, float], *, level: Floats, color: str) -> None:
         """Fill rectangles, the stronger the higher their level; those of level zero or nan stay empty.
@@ -272,15 +306,15 @@ class Panel:
             chosen = corners[strength == step]
             if len(chosen):
                 x, y = (np.stack([chosen[:, i], chosen[:, i] + size[i]], axis=1) for i in range(2))
-                style = svg.ShapeStyle(color=color, width=0.0, alpha=step / steps, filled=True)
-                self._areas.append(Shape(x=x, y=y, path=svg.box_path, style=style, group="cells"))
+                style = ShapeStyle(color=color, width=0.0, alpha=step / steps, filled=True)
+                self._areas.append(Shape(x=x, y=y, path=box_path, style=style, group="cells"))
 
     def text(
         self,
         text: str,
         x: float,
         y: float,
-        style: svg.TextStyle,
+        style: TextStyle,
         *,
         offset: tuple[float, float] = (0.0, 0.0),
         fine: bool = False,
@@ -309,11 +343,11 @@ class Panel:
         """Return a text as an element; one of space keeps the point that it belongs to."""
         at = float(self.x.places(np.array(text.x))), float(self.y.places(np.array(text.y)))
         if text.depth is None:
-            element = svg.text_element(text.text, at[0] + text.offset[0], at[1] + text.offset[1], text.style)
+            element = text_element(text.text, at[0] + text.offset[0], at[1] + text.offset[1], text.style)
         else:
             shift = text.offset[0] / text.style.size, text.offset[1] / text.style.size
-            element = svg.text_element(text.text, *at, text.style, shift=shift)
-            place = " ".join(map(svg.short_number, (*at, float(self._depth(np.array(text.depth))))))
+            element = text_element(text.text, *at, text.style, shift=shift)
+            place = " ".join(map(short_number, (*at, float(self._depth(np.array(text.depth))))))
             element = f'<g data-place="{place}">{element}</g>'
         return f'<g class="fine">{element}</g>' if text.fine else element
 
@@ -325,7 +359,7 @@ class Panel:
     def _depths(self, shape: Shape) -> str:
         """Return the depths of the points that are drawn."""
         depth = np.zeros(0) if shape.depth is None else shape.depth
-        return " ".join(map(svg.short_number, self._depth(depth[np.isfinite(shape.x) & np.isfinite(shape.y)]).tolist()))
+        return " ".join(map(short_number, self._depth(depth[np.isfinite(shape.x) & np.isfinite(shape.y)]).tolist()))
 
     def _numbers(self) -> str:
         """Return the attribute that tells page.js which numbers places stand for: box, then low, high, log, known."""
@@ -339,10 +373,10 @@ class Panel:
 
     def _clip(self) -> str:
         if self.rim is None:
-            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short_number, self.box))
+            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(short_number, self.box))
         x, y = (float(scale.places(np.zeros(()))) for scale in (self.x, self.y))
         reach = float(self.x.places(np.array(self.rim))) - x
-        return f'<circle cx="{svg.short_number(x)}" cy="{svg.short_number(y)}" r="{svg.short_number(reach)}"/>'
+        return f'<circle cx="{short_number(x)}" cy="{short_number(y)}" r="{short_number(reach)}"/>'
 
     def _drawn(self, shape: Shape, name: str) -> str:
         x, y = (
@@ -352,7 +386,7 @@ class Panel:
         path = shape.path(x, y)
         if not path:
             return ""
-        style = svg.dot_css(shape.style) if shape.path is svg.dot_path else shape.style.css()
+        style = dot_css(shape.style) if shape.path is dot_path else shape.style.css()
         clip = f' clip-path="url(#{name})"' if shape.clip else ""
         depth = "" if shape.depth is None else f' data-depth="{self._depths(shape)}"'
         element = f'<path d="{path}"{clip}{depth} style="{style}"/>'
@@ -360,16 +394,14 @@ class Panel:
 
     def _grid(self) -> str:
         left, right, top, bottom = self._edges()
-        lines = [f"M{svg.short_number(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
-        lines += [f"M{left} {svg.short_number(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
-        return (
-            f'<path d="{"".join(lines)}" style="{svg.ShapeStyle(color="grid", ends="butt").css()}"/>' if lines else ""
-        )
+        lines = [f"M{short_number(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
+        lines += [f"M{left} {short_number(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
+        return f'<path d="{"".join(lines)}" style="{ShapeStyle(color="grid", ends="butt").css()}"/>' if lines else ""
 
     def _edges(self) -> tuple[str, str, str, str]:
         """Return left, right, top and bottom."""
         edges = (self._left, self._left + self._width, self._top, self._top + self._height)
-        left, right, top, bottom = map(svg.short_number, edges)
+        left, right, top, bottom = map(short_number, edges)
         return left, right, top, bottom
 
     def _frame(self) -> str:
@@ -377,19 +409,19 @@ class Panel:
         sides = {"left": f"M{left} {bottom}V{top}", "right": f"M{right} {bottom}V{top}",
                  "bottom": f"M{left} {bottom}H{right}", "top": f"M{left} {top}H{right}"}  # fmt: skip
         path = "".join(sides[side] for side in self.frame)
-        return f'<path d="{path}" style="{svg.ShapeStyle(color="muted").css()}"/>' if path else ""
+        return f'<path d="{path}" style="{ShapeStyle(color="muted").css()}"/>' if path else ""
 
     def _labels(self) -> list[str]:
         """Return the labels of both scales."""
         groups: list[str] = []
-        aligned: tuple[tuple[Scale, svg.Align], ...] = ((self.x, "center"), (self.y, "right"))
+        aligned: tuple[tuple[Scale, Align], ...] = ((self.x, "center"), (self.y, "right"))
         below, aside = self._top + self._height + _BELOW, self._left - _ASIDE
         for scale, align in aligned:
             if scale.labelled and (marks := scale.marks()):
                 texts = [
-                    svg.text_element(label, *((place, below) if scale is self.x else (aside, place + _LOWER)))
+                    text_element(label, *((place, below) if scale is self.x else (aside, place + _LOWER)))
                     for place, label in marks
                 ]
-                style = svg.TextStyle(color="muted", size=_LABEL, align=align).css()
+                style = TextStyle(color="muted", size=_LABEL, align=align).css()
                 groups.append(f'<g style="{style}">{"".join(texts)}</g>')
         return groups

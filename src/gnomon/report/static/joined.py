@@ -14,8 +14,7 @@ from ..numbers import (
     quantity_text,
     readable_unit,
 )
-from ..page import KeyNumber, ReportTable, Section
-from ..sections import FRAMES, gravity_text
+from ..page import FRAMES, KeyNumber, ReportTable, Section, gravity_text
 
 
 def joined_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:

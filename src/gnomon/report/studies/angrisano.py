@@ -8,9 +8,8 @@ from ...recording import Floats
 from ...results.result import Booleans
 from ...study.angrisano import NAMES, AngrisanoSample, AngrisanoStudy, angrisano_claims, angrisano_group_rms
 from ...study.angrisano_trial import GROUPS, TABLE_2, TRUTH, Basin, Journey
-from ..drawing import svg
 from ..drawing.figures import LEFT, Plot, Sheet, draw_dots, set_y_limits
-from ..drawing.panel import Panel
+from ..drawing.panel import Panel, TextStyle
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
 from .page import study_page
@@ -176,10 +175,10 @@ def _basin(panel: Panel, basin: Basin, group: int) -> None:
     panel.y.ticks, panel.y.grid, panel.x.ticks = (), False, ()
     for row, (name, tried, found, color) in enumerate(reversed(rows)):
         _strip(panel, tried, found, row, color)
-        panel.text(name, float(place[0]), row, svg.TextStyle(color="muted", size=12, align="right"), offset=(-8.0, 4.0))
+        panel.text(name, float(place[0]), row, TextStyle(color="muted", size=12, align="right"), offset=(-8.0, 4.0))
     for at in range(round(place[0]), round(place[-1]) + 1):
         label = number_text(float(_SHOWN[group] * (at * high if at > 0 else -at * low)), 3)
-        panel.text(label, float(at), -0.6, svg.TextStyle(color="muted", size=12, align="center"), offset=(0.0, 18.0))
+        panel.text(label, float(at), -0.6, TextStyle(color="muted", size=12, align="center"), offset=(0.0, 18.0))
     panel.upright(0.0, "muted")
 
 

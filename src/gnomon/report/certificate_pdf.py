@@ -6,19 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...assess.comparison.comparison import Comparison
-from ...assess.comparison.verification import Verification
-from ...errors import OptionError, install_line
-from ...findings import printable_text
-from ...output import write_whole
-from ...results.calibration import Calibration
-from ...results.sensor_noise import SensorNoise
-from ..page import ReportTable, typeset_finding
-from ..sections import HEADLINES, NOISE_HEADLINES
-from .tables import Certified, budget_table, certificate_tables
+from ..assess.comparison.comparison import Comparison
+from ..assess.comparison.verification import Verification
+from ..errors import OptionError, install_line
+from ..findings import printable_text
+from ..output import write_whole
+from ..results.calibration import Calibration
+from ..results.sensor_noise import SensorNoise
+from .certificate import budget_table, certificate_tables, front_tables
+from .comparison import compared_tables, verified_tables
+from .noise import noise_numbers
+from .page import HEADLINES, NOISE_HEADLINES, ReportTable, typeset_finding
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 _WIDTH, _HEIGHT = 8.27, 11.69
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.09, 0.91, 0.955, 0.05
@@ -38,6 +40,8 @@ _BESIDE_BUDGET = 8
 _INK, _MUTED = "#17202a", "#57636f"
 _TONES = {"pass": "#1a6b3c", "warn": "#8a5a00", "fail": "#b3261e"}
 _SIZE, _SMALL = 9.0, 7.8
+
+Certified = Calibration | SensorNoise | Verification | Comparison
 
 
 def write_certificate(result: Certified, path: str | Path) -> None:
@@ -70,6 +74,17 @@ def write_certificate(result: Certified, path: str | Path) -> None:
     write_whole(path, stream.getvalue())
 
 
+def page_one(result: Certified) -> tuple[ReportTable, ...]:
+    """Return the tables of page one."""
+    if isinstance(result, Verification):
+        return verified_tables(result)
+    if isinstance(result, Comparison):
+        return compared_tables(result)
+    if isinstance(result, SensorNoise):
+        return front_tables(result, (noise_numbers(result),))
+    return certificate_tables(result)
+
+
 class _Sheet:
     """Writes from the top of the page to its bottom."""
 
@@ -97,7 +112,7 @@ class _Sheet:
             self._wrapped(f"{finding.severity}: {typeset_finding(finding).message}")
         if len(pressing) > 4:
             self._wrapped(f"{len(pressing) - 4} more findings are in the report.")
-        for table in certificate_tables(result):
+        for table in page_one(result):
             self._table(table)
         self._y = max(min(self._y, 0.16), _BOTTOM + 2 * _LINE)
         for source in provenance.inputs[:5]:

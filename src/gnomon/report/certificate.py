@@ -1,13 +1,17 @@
-"""The parameter tables of an IMU: matrices as scales, misalignments and biases that a person can judge, with sigmas."""
+"""Page one of every report, the certificate: what was calibrated, the numbers with U = 2 sigma, criteria.
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from math import degrees, isfinite, pi
+The numbers of an IMU are scales, misalignments and biases that a person can judge, made of its matrices.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isfinite, pi
+from typing import Protocol
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotvec_from_rotation
-from ..models.forms import in_own_axes
+from ..assess.uncertainty_budget import uncertainty_budget
+from ..frozen import FrozenMapping
 from ..recording import Floats
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -15,13 +19,242 @@ from ..results.calibration import (
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
+    Provenance,
+    Verdict,
 )
 from ..results.parameters import element_units
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
-from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit, with_sigma
-from .page import Bar, Parameter, ParameterGroup, ReportTable, parameter_line
+from .numbers import MISSING, fixed_text, number_text, readable_unit, with_sigma
+from .page import (
+    HEADLINES,
+    KeyNumber,
+    Parameter,
+    ParameterGroup,
+    ReportPage,
+    ReportTable,
+    Section,
+    lift_figures,
+    parameter_line,
+    typeset_finding,
+    with_bars,
+)
+from .rig_parameters import AXES, imu_groups
 
-AXES = "xyz"
+
+class Certified(Protocol):
+    """What a certificate is of: a calibration, the noise of a sensor, a verification or a comparison."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """What was stated of the sensor and the measurement."""
+        ...
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it can be used."""
+        ...
+
+
+def calibration_page(
+    title: str,
+    calibration: Calibration,
+    key_numbers: tuple[KeyNumber, ...],
+    sections: Iterable[Section | None],
+    plots: Sequence[str] = (),
+) -> ReportPage:
+    """Return the page of a calibration; the first figures of the sections in `plots` stand on page one.
+
+    Sections that there is nothing to say in are None.
+    """
+    made_by = calibration.provenance.gnomon_version
+    budget = budget_table(calibration)
+    figures, folded = lift_figures((section for section in sections if section is not None), plots)
+    return ReportPage(
+        title=title,
+        subject=", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory",
+        verdict=calibration.verdict,
+        headline=HEADLINES[calibration.verdict],
+        key_numbers=key_numbers,
+        findings=tuple(typeset_finding(f) for f in calibration.assessment.findings if f.code != "assumed"),
+        sections=folded,
+        front=(*certificate_tables(calibration), *figures, *(budget,) * bool(budget.rows)),
+        footer=f"Made by gnomon {made_by}. This file needs no network and no other file.",
+    )
+
+
+STATED: Mapping[str, str] = FrozenMapping(
+    {
+        "sensor": "Sensor",
+        "serial": "Serial number",
+        "date": "Date",
+        "operator": "Operator",
+        "place": "Place",
+        "temperature_c": "Temperature",
+        "chip_degc": "Temperature of the chip",
+    }
+)
+"""Option that states it -> its name on the certificate. Never the clock: equal inputs and options give equal bytes."""
+BUDGET_TITLE = "Where the uncertainty comes from"
+NUMBER_HEAD = ("", "estimate", "U = 2σ", "unit")
+EXPANDED = "U is the expanded uncertainty with coverage factor k = 2 (about 95 %)."
+_MOST = 14
+"""Numbers on page one."""
+_MATTERS = ("scale", "bias")
+"""Ends of the titles of the groups of a triad that stand on page one."""
+_CRITERIA = (
+    ("pass", "no finding speaks against its use"),
+    ("warn", "usable, with the reservations named under What to do"),
+    ("fail", "at least one finding says not to use it"),
+)
+
+
+def certificate_tables(calibration: Calibration) -> tuple[ReportTable, ...]:
+    """Return the tables of page one but the uncertainty budget, which stands behind the figures."""
+    return front_tables(calibration, (_numbers(calibration), *_over_temperature(calibration)))
+
+
+def front_tables(
+    result: Certified, numbers: Iterable[ReportTable], criteria: Sequence[tuple[str, str]] = _CRITERIA
+) -> tuple[ReportTable, ...]:
+    """Return the tables of page one of a result: what was stated of it, its numbers, and what its verdict means."""
+    meaning = ReportTable(
+        "What the verdict means",
+        ("verdict", "criterion"),
+        criteria,
+        "Each finding has its limit, listed with the symptoms of the documentation.",
+        marked=[name for name, _ in criteria].index(result.verdict),
+        prose=True,
+    )
+    stated = ReportTable("Certificate", ("", ""), stated_facts(result), prose=True)
+    return tuple(table for table in (stated, *numbers, meaning) if table.rows)
+
+
+def stated_facts(calibration: Certified) -> list[tuple[str, str]]:
+    """Return name and text of what was stated of the sensor and the measurement."""
+    options = calibration.provenance.options
+    units: dict[str, str] = dict.fromkeys(("temperature_c", "chip_degc"), "\u00a0°C")
+    return [(name, options[key] + units.get(key, "")) for key, name in STATED.items() if key in options]
+
+
+def _numbers(calibration: Calibration) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    note = f"{EXPANDED} Without U: fixed, or not estimated."
+    for where, group in _groups(calibration):
+        if rows and len(rows) + len(group.rows) > _MOST:  # a group is shown as a whole
+            break
+        rows += [
+            (f"{where}{_called(group.title, row.name)}", row.value, row.expanded or MISSING, row.unit)
+            for row in group.rows
+        ]
+        note += f" {where}Attitude: {group.note}." if group.title == "Attitude" else ""
+    return ReportTable("The numbers that matter", NUMBER_HEAD, rows, note, dense=True)
+
+
+def _over_temperature(calibration: Calibration) -> Iterator[ReportTable]:
+    """Yield, for each IMU that changes with its temperature, the slopes of biases and scales."""
+    for name, imu in calibration.imus.items():
+        if imu.temperature is None:
+            continue
+        known, groups = imu.temperature, groups_over_temperature(calibration, name)
+        yield ReportTable(
+            "Over the temperature" + (f", {name}" if len(calibration.imus) > 1 else ""),
+            ("", "slope", "U = 2σ", "unit"),
+            [
+                (f"{group.title.partition(' over ')[0]} {row.name[-1]}", row.value, row.expanded or MISSING, row.unit)
+                for group in groups
+                if "g-sensitivity" not in group.title
+                for row in group.rows
+            ],
+            f"At {known.reference_degc:.1f} °C, where the numbers that matter hold; known from {known.low_degc:.1f} to "
+            f"{known.high_degc:.1f} °C. All coefficients stand in calibration.yaml.",
+            dense=True,
+        )
+
+
+def _called(group: str, name: str) -> str:
+    """Return a group of parameters and one of it, "Accelerometer scale x", without saying a word twice."""
+    first, _, rest = name.partition(" ")
+    return f"{group} {rest}" if rest and group.lower().split()[-1] == first.lower() else f"{group}: {name}"
+
+
+def _camera_groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
+    from .rig_parameters import camera_groups, lens_groups, pose_groups
+
+    cameras, several = calibration.cameras, len(calibration.cameras) > 1
+    for name in cameras:
+        where = f"{name} " if several else ""
+        groups = camera_groups(calibration, name) if calibration.imus else lens_groups(calibration, name)
+        shown = ("Translation", "Attitude", "Time")
+        yield from ((where, group) for group in groups if not calibration.imus or group.title in shown)
+        if not calibration.imus and name != cameras[name].body:
+            yield from ((where, group) for group in pose_groups(calibration, name))
+
+
+def _groups(calibration: Calibration) -> Iterator[tuple[str, ParameterGroup]]:
+    """Yield the groups of parameters for page one, and the words before their titles."""
+    if calibration.cameras:
+        yield from _camera_groups(calibration)
+        if not calibration.imus:
+            return
+    groups = [g for name in calibration.imus for g in imu_groups(calibration, name)] if calibration.cameras else ()
+    groups = groups or parameter_groups(calibration)
+    for group in sorted(groups, key=lambda group: "Magnetometer" not in group.title):  # the accelerometer serves it
+        if group.title.endswith(_MATTERS):
+            yield "", group
+
+
+def _read_aloud(calibration: Calibration, name: str) -> str:
+    """Return the name of a scalar in words, "imu0.accelerometer.bias[1]" -> "imu0 accelerometer bias y"."""
+    device, _, rest = name.partition(".")
+    symbols: dict[str, str] = {}
+    if device in calibration.cameras:
+        camera = calibration.cameras[device].camera
+        symbols = dict(zip(camera.parameter_names, camera.parameter_symbols, strict=True))
+    path, _, element = rest.rstrip("]").partition("[")
+    axes = "".join("xyz"[int(i)] for i in element.split(",")) if re.fullmatch("[012](,[012])?", element) else element
+    words = path.replace("T_cam_imu.", "").replace("g_sensitivity", "g-sensitivity")
+    words = re.sub("_(cam_imu|m)$", "", words).replace("_", " ").replace(".", " ")
+    return f"{device} {symbols.get(rest) or f'{words} {axes}'.strip()}"
+
+
+def budget_table(calibration: Calibration) -> ReportTable:
+    """Return the uncertainty budget: of each block the least certain scalar, and from which sources its sigma comes."""
+    rows: list[tuple[str, ...]] = []
+    faint = set[int]()
+    for quantity in uncertainty_budget(calibration):
+        sigma, expanded = (number_text(size, 2) for size in (quantity.sigma, quantity.expanded))
+        unit = "" if quantity.unit == "1" else f"\u00a0{readable_unit(quantity.unit)}"
+        rows.append((_read_aloud(calibration, quantity.name), "", f"U\u00a0=\u00a0{expanded}{unit}", "", "", sigma, ""))
+        for source in quantity.sources:
+            share = source.variance / quantity.sigma**2
+            stated = "" if source.unit == "1" else f"\u00a0{readable_unit(source.unit)}"
+            faint.add(len(rows))
+            rows.append(
+                (
+                    f"\u2003{source.name}",
+                    source.kind,
+                    f"{number_text(source.amount, 2)}{stated}",
+                    "√3 (rect.)" if source.distribution == "rectangular" else "1 (normal)",
+                    number_text(source.sensitivity, 2),
+                    number_text(source.variance**0.5, 2),
+                    f"{fixed_text(100 * share, 1)}\u00a0%",
+                )
+            )
+    rig = calibration.imus and calibration.cameras
+    within = " Noise, and what gravity and detector leave uncertain, are not told apart here." if rig else ""
+    return ReportTable(
+        BUDGET_TITLE,
+        ("quantity, and its sources", "type", "amount", "divisor", "sensitivity", "u", "share"),
+        rows,
+        "Of each block of parameters the least certain one, after JCGM 100:2008. Type A: by the statistics of the "
+        "recording, B: known otherwise. u = |sensitivity| × amount / divisor, in the unit of U; its share is of the "
+        "variance. The first line of each has the combined standard uncertainty and U = 2u (k = 2, about 95 %). Errors "
+        f"that last: what the scatter between parts of the recording shows beyond independent noise.{within}",
+        faint=frozenset(faint),
+        dense=True,
+    )
+
+
 _DEG = 180 / pi
 _NOT_DETERMINED = "not determined by this recording"
 Triad = AccelerometerCalibration | GyroscopeCalibration | MagnetometerCalibration
@@ -247,213 +480,3 @@ def _percent(value: float, sigma: float) -> str:
         return f"× {number_text(1 + value / 100, 3)}"
     text, spread = with_sigma(value, sigma, sign=True)
     return f"{text}{f' ± {spread}' if spread else ''}\u00a0%"
-
-
-def with_bars(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple[Parameter, ...]:
-    """Give rows of one group their bars on a common scale, symmetric about zero."""
-    reaches = [abs(v) + 2 * (s if isfinite(s) else 0.0) for v, s in values if isfinite(v)]
-    reach = max(reaches, default=0.0)
-    if not reach > 0:
-        return tuple(rows)
-
-    def place(value: float) -> float:
-        return 50 + 49 * value / reach
-
-    result: list[Parameter] = []
-    for row, (value, sigma) in zip(rows, values, strict=True):
-        spread = 2 * sigma if isfinite(sigma) else 0.0
-        bar = Bar(50.0, place(value), place(value - spread), place(value + spread))
-        result.append(replace(row, bar=bar if isfinite(value) else None))
-    return tuple(result)
-
-
-_STEP = 1e-6
-NOT_ABOVE = "within its σ"
-"""Marks an entry that the recording does not tell from an ideal sensor's (the rule of Krebs, section 5.2)."""
-
-
-def sigmas_of(view: Callable[[Floats], Floats], at: Floats, covariance: Floats) -> Floats:
-    """Return the sigmas (m,) of view(x) at x (n,) for the covariance (n, n) of x, by central differences."""
-    columns: list[Floats] = []
-    for i, value in enumerate(at):
-        step = np.zeros(len(at))
-        step[i] = _STEP * max(abs(float(value)), 1.0)
-        columns.append((view(at + step) - view(at - step)) / (2 * step[i]))
-    slopes = np.stack(columns, axis=1)
-    return np.sqrt(np.fmax(np.diag(slopes @ covariance @ slopes.T), 0.0))
-
-
-def axes_group(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
-    """Return a group of angles about the axes [°], or of lengths along them."""
-    word = "about" if unit == "°" else "along"
-    rows: list[Parameter] = []
-    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        reads_as = f"{fixed_text(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
-        rows.append(parameter_line(f"{word} {axis}", value, spread, unit, reads_as=reads_as))
-    return ParameterGroup(title, note, with_bars(rows, _pairs(values, spreads)))
-
-
-def _pairs(values: Floats, spreads: Floats) -> list[tuple[float, float]]:
-    return list(zip(values.tolist(), spreads.tolist(), strict=True))
-
-
-def imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
-    """Return an IMU in the letters of Krebs, chapter 4: S, M, b of both triads, q_bg and B_g.
-
-    Groups that were held at an ideal sensor's values are left out.
-    """
-    return tuple(
-        group
-        for group in _all_imu_groups(calibration, name)
-        if any(row.sigma or row.bar is not None or row.value == MISSING for row in group.rows)
-    )
-
-
-def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]:
-    imu = calibration.imus[name]
-    path = f"{name}.accelerometer"
-    triad = _lower_triad(imu.required_accelerometer.sensitivity)
-    spreads = sigmas_of(
-        _lower_triad, imu.required_accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
-    )
-    groups = [*_own_triad("Accelerometer", "a", triad, spreads), _own_bias(calibration, path, "Accelerometer", "a")]
-    groups += _lever_arms(calibration, path)
-    if imu.gyroscope is None:
-        return groups
-    path = f"{name}.gyroscope"
-    at = imu.gyroscope.sensitivity.ravel()
-    own, spreads = _gyroscope(at), sigmas_of(_gyroscope, at, calibration.covariance(f"{path}.sensitivity"))
-    groups += [*_own_triad("Gyroscope", "g", own[:6], spreads[:6]), _own_bias(calibration, path, "Gyroscope", "g")]
-    turned = axes_group(
-        "Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:]
-    )
-    groups.append(_marked(turned, own[6:], spreads[6:]))
-    groups.append(_own_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
-    return groups
-
-
-def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
-    """Return where the accelerometers that are not the body's origin lie; nothing where that was not estimated."""
-    places = calibration.imus[path.split(".", maxsplit=1)[0]].required_accelerometer.lever_arms_m
-    if places is None:
-        return []
-    spreads = calibration.sigma(f"{path}.lever_arms_m")
-    return [
-        axes_group(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
-        for axis, place, spread in zip(AXES, places, spreads, strict=True)
-        if spread.any()
-    ]
-
-
-def gyroscope_quaternion(sensitivity: Floats) -> str:
-    """Return a sentence on the rotation C_bg, as the quaternion of Krebs and its angle; none without rotation."""
-    rotvec = _gyroscope(sensitivity.ravel())[6:] / _DEG
-    angle = float(np.linalg.norm(rotvec))
-    if not angle > 0:
-        return ""
-    axis = np.sin(angle / 2) * rotvec / angle
-    numbers = ", ".join(fixed_text(v, 6) for v in (np.cos(angle / 2), *axis.tolist()))
-    return f"As a quaternion, C_bg is q_bg = ({numbers}), real part first: {number_text(degrees(angle), 3)}° in all."
-
-
-def _lower_triad(sensitivity: Floats) -> Floats:
-    """Return the diagonal of S and yz, zy, zx of M, (6,), of S M."""
-    matrix = np.reshape(sensitivity, (3, 3))
-    S = np.diag(matrix)
-    return np.concatenate([S, (matrix / S[:, None])[[1, 2, 2], [0, 0, 1]]])
-
-
-def _gyroscope(sensitivity: Floats) -> Floats:
-    """Return S_g, M_g, and the rotation vector of C_bg [deg], (9,), of S_g M_g C_bg'."""
-    lower, C_gb = in_own_axes(np.reshape(sensitivity, (3, 3)), "accel-x")
-    return np.concatenate([_lower_triad(lower), rotvec_from_rotation(C_gb.T) * _DEG])
-
-
-def _own_triad(title: str, letter: str, values: Floats, spreads: Floats) -> tuple[ParameterGroup, ParameterGroup]:
-    percents, percent_spreads = 100 * (values[:3] - 1), 100 * spreads[:3]
-    scales: list[Parameter] = []
-    for i, axis in enumerate(AXES):
-        percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
-        reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
-        scales.append(parameter_line(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
-    scale = ParameterGroup(
-        f"{title} scale", f"S_{letter}; bars: deviation from one",
-        with_bars(scales, _pairs(percents, percent_spreads)),
-    )  # fmt: skip
-    tilts: list[Parameter] = []
-    for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
-        reads_as = f"{fixed_text(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
-        tilts.append(
-            parameter_line(f"entry {entry}", float(value), float(spread), "mrad", reads_as=reads_as, sign=True)
-        )
-    tilt = ParameterGroup(
-        f"{title} misalignment", f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
-        with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
-    )  # fmt: skip
-    return (_marked(scale, percents, percent_spreads), _marked(tilt, values[3:], spreads[3:]))
-
-
-def _marked(group: ParameterGroup, values: Floats, spreads: Floats) -> ParameterGroup:
-    """Mark the rows whose deviation from an ideal sensor is not above its sigma."""
-    rows = [
-        replace(row, note=NOT_ABOVE) if spread > 0 and abs(value) <= spread else row
-        for row, value, spread in zip(group.rows, values.tolist(), spreads.tolist(), strict=True)
-    ]
-    return replace(group, rows=rows)
-
-
-def _own_bias(calibration: Calibration, path: str, title: str, letter: str) -> ParameterGroup:
-    values, spreads = calibration.parameter(f"{path}.bias"), calibration.sigma(f"{path}.bias")
-    gyroscope = letter == "g"
-    rows: list[Parameter] = []
-    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        physical = f"{number_text(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
-        unit = "rad/s" if gyroscope else "m/s²"
-        rows.append(parameter_line(f"bias {axis}", value, spread, unit, reads_as=physical, sign=True))
-    note = f"b_{letter}, mean over the recording"
-    return ParameterGroup(f"{title} bias", note, with_bars(rows, _pairs(values, spreads)))
-
-
-def _milli_g(value: float) -> str:
-    return number_text(1e3 * value / STANDARD_GRAVITY_M_S2, 3)
-
-
-def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit: str) -> ParameterGroup:
-    flat, spreads = 1e3 * values.ravel(), 1e3 * calibration.sigma(f"{path}.g_sensitivity").ravel()
-    rows: list[Parameter] = []
-    for (i, j), value, spread in zip(np.ndindex(3, 3), flat.tolist(), spreads.tolist(), strict=True):
-        per_g = f"{number_text(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
-        name = f"{AXES[i]} by force {AXES[j]}"
-        rows.append(parameter_line(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
-    group = ParameterGroup(
-        "Gyroscope g-sensitivity",
-        "B_g, on the specific force in the body frame (Krebs, chapter 4)",
-        with_bars(rows, _pairs(flat, spreads)),
-    )
-    return _marked(group, flat, spreads)
-
-
-def other_reading(calibration: Calibration, name: str) -> ReportTable | None:
-    """Return B_g as chapter 3 of Krebs reads it, on the force in the gyroscope's axes; None where it is zero."""
-    gyroscope = calibration.imus[name].gyroscope
-    if gyroscope is None or not gyroscope.g_sensitivity.any():
-        return None
-
-    def view(x: Floats) -> Floats:
-        _, C_gb = in_own_axes(np.reshape(x[:9], (3, 3)), "accel-x")
-        return 1e3 * (np.reshape(x[9:], (3, 3)) @ C_gb.T).ravel()
-
-    at = np.concatenate([gyroscope.sensitivity.ravel(), gyroscope.g_sensitivity.ravel()])
-    paths = (f"{name}.gyroscope.sensitivity", f"{name}.gyroscope.g_sensitivity")
-    values, spreads = view(at).reshape(3, 3), sigmas_of(view, at, calibration.covariance(*paths)).reshape(3, 3)
-    rows = tuple(
-        (f"rate about {axis}", *(estimate_text(v, s, sign=True) for v, s in _pairs(values[i], spreads[i])))
-        for i, axis in enumerate(AXES)
-    )
-    return ReportTable(
-        "g-sensitivity on the force in the gyroscope's axes (Krebs, chapter 3)",
-        (f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
-        rows,
-        "B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "
-        "is the same; Kalibr's A is this matrix too.",
-    )

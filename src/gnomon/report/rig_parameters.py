@@ -1,8 +1,6 @@
-"""The parameter tables of cameras: extrinsics as a person measures them, lenses, clocks.
+"""The parameter tables of a rig: IMUs in their own axes; cameras as a person measures them, lenses, clocks."""
 
-Every sigma is that of the calibration's covariance, carried to the quantity shown by its derivatives.
-"""
-
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations, product
 from math import degrees, isfinite
@@ -10,15 +8,206 @@ from math import degrees, isfinite
 import numpy as np
 
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..models.forms import in_own_axes
 from ..recording import Floats
 from ..results.calibration import Calibration
+from ..units import STANDARD_GRAVITY_M_S2
 from .cameras.lens import field_of_view, focal_at_axis
 from .drawing.figures import AXES
-from .imu_parameters import axes_group, sigmas_of
-from .numbers import fixed_text, number_text
-from .page import Parameter, ParameterGroup, parameter_line
+from .numbers import MISSING, estimate_text, fixed_text, number_text, with_sigma
+from .page import Parameter, ParameterGroup, ReportTable, parameter_line, with_bars
 
 _DEG = degrees(1.0)
+_STEP = 1e-6
+NOT_ABOVE = "within its σ"
+"""Marks an entry that the recording does not tell from an ideal sensor's (the rule of Krebs, section 5.2)."""
+
+
+def sigmas_of(view: Callable[[Floats], Floats], at: Floats, covariance: Floats) -> Floats:
+    """Return the sigmas (m,) of view(x) at x (n,) for the covariance (n, n) of x, by central differences."""
+    columns: list[Floats] = []
+    for i, value in enumerate(at):
+        step = np.zeros(len(at))
+        step[i] = _STEP * max(abs(float(value)), 1.0)
+        columns.append((view(at + step) - view(at - step)) / (2 * step[i]))
+    slopes = np.stack(columns, axis=1)
+    return np.sqrt(np.fmax(np.diag(slopes @ covariance @ slopes.T), 0.0))
+
+
+def axes_group(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
+    """Return a group of angles about the axes [°], or of lengths along them."""
+    word = "about" if unit == "°" else "along"
+    rows: list[Parameter] = []
+    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
+        reads_as = f"{fixed_text(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
+        rows.append(parameter_line(f"{word} {axis}", value, spread, unit, reads_as=reads_as))
+    return ParameterGroup(title, note, with_bars(rows, _pairs(values, spreads)))
+
+
+def _pairs(values: Floats, spreads: Floats) -> list[tuple[float, float]]:
+    return list(zip(values.tolist(), spreads.tolist(), strict=True))
+
+
+def imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
+    """Return an IMU in the letters of Krebs, chapter 4: S, M, b of both triads, q_bg and B_g.
+
+    Groups that were held at an ideal sensor's values are left out.
+    """
+    return tuple(
+        group
+        for group in _all_imu_groups(calibration, name)
+        if any(row.sigma or row.bar is not None or row.value == MISSING for row in group.rows)
+    )
+
+
+def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]:
+    imu = calibration.imus[name]
+    path = f"{name}.accelerometer"
+    triad = _lower_triad(imu.required_accelerometer.sensitivity)
+    spreads = sigmas_of(
+        _lower_triad, imu.required_accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
+    )
+    groups = [*_own_triad("Accelerometer", "a", triad, spreads), _own_bias(calibration, path, "Accelerometer", "a")]
+    groups += _lever_arms(calibration, path)
+    if imu.gyroscope is None:
+        return groups
+    path = f"{name}.gyroscope"
+    at = imu.gyroscope.sensitivity.ravel()
+    own, spreads = _gyroscope(at), sigmas_of(_gyroscope, at, calibration.covariance(f"{path}.sensitivity"))
+    groups += [*_own_triad("Gyroscope", "g", own[:6], spreads[:6]), _own_bias(calibration, path, "Gyroscope", "g")]
+    turned = axes_group(
+        "Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:]
+    )
+    groups.append(_marked(turned, own[6:], spreads[6:]))
+    groups.append(_own_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
+    return groups
+
+
+def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
+    """Return where the accelerometers that are not the body's origin lie; nothing where that was not estimated."""
+    places = calibration.imus[path.split(".", maxsplit=1)[0]].required_accelerometer.lever_arms_m
+    if places is None:
+        return []
+    spreads = calibration.sigma(f"{path}.lever_arms_m")
+    return [
+        axes_group(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
+        for axis, place, spread in zip(AXES, places, spreads, strict=True)
+        if spread.any()
+    ]
+
+
+def gyroscope_quaternion(sensitivity: Floats) -> str:
+    """Return a sentence on the rotation C_bg, as the quaternion of Krebs and its angle; none without rotation."""
+    rotvec = _gyroscope(sensitivity.ravel())[6:] / _DEG
+    angle = float(np.linalg.norm(rotvec))
+    if not angle > 0:
+        return ""
+    axis = np.sin(angle / 2) * rotvec / angle
+    numbers = ", ".join(fixed_text(v, 6) for v in (np.cos(angle / 2), *axis.tolist()))
+    return f"As a quaternion, C_bg is q_bg = ({numbers}), real part first: {number_text(degrees(angle), 3)}° in all."
+
+
+def _lower_triad(sensitivity: Floats) -> Floats:
+    """Return the diagonal of S and yz, zy, zx of M, (6,), of S M."""
+    matrix = np.reshape(sensitivity, (3, 3))
+    S = np.diag(matrix)
+    return np.concatenate([S, (matrix / S[:, None])[[1, 2, 2], [0, 0, 1]]])
+
+
+def _gyroscope(sensitivity: Floats) -> Floats:
+    """Return S_g, M_g, and the rotation vector of C_bg [deg], (9,), of S_g M_g C_bg'."""
+    lower, C_gb = in_own_axes(np.reshape(sensitivity, (3, 3)), "accel-x")
+    return np.concatenate([_lower_triad(lower), rotvec_from_rotation(C_gb.T) * _DEG])
+
+
+def _own_triad(title: str, letter: str, values: Floats, spreads: Floats) -> tuple[ParameterGroup, ParameterGroup]:
+    percents, percent_spreads = 100 * (values[:3] - 1), 100 * spreads[:3]
+    scales: list[Parameter] = []
+    for i, axis in enumerate(AXES):
+        percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
+        reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
+        scales.append(parameter_line(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
+    scale = ParameterGroup(
+        f"{title} scale", f"S_{letter}; bars: deviation from one",
+        with_bars(scales, _pairs(percents, percent_spreads)),
+    )  # fmt: skip
+    tilts: list[Parameter] = []
+    for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
+        reads_as = f"{fixed_text(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
+        tilts.append(
+            parameter_line(f"entry {entry}", float(value), float(spread), "mrad", reads_as=reads_as, sign=True)
+        )
+    tilt = ParameterGroup(
+        f"{title} misalignment", f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
+        with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
+    )  # fmt: skip
+    return (_marked(scale, percents, percent_spreads), _marked(tilt, values[3:], spreads[3:]))
+
+
+def _marked(group: ParameterGroup, values: Floats, spreads: Floats) -> ParameterGroup:
+    """Mark the rows whose deviation from an ideal sensor is not above its sigma."""
+    rows = [
+        replace(row, note=NOT_ABOVE) if spread > 0 and abs(value) <= spread else row
+        for row, value, spread in zip(group.rows, values.tolist(), spreads.tolist(), strict=True)
+    ]
+    return replace(group, rows=rows)
+
+
+def _own_bias(calibration: Calibration, path: str, title: str, letter: str) -> ParameterGroup:
+    values, spreads = calibration.parameter(f"{path}.bias"), calibration.sigma(f"{path}.bias")
+    gyroscope = letter == "g"
+    rows: list[Parameter] = []
+    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
+        physical = f"{number_text(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
+        unit = "rad/s" if gyroscope else "m/s²"
+        rows.append(parameter_line(f"bias {axis}", value, spread, unit, reads_as=physical, sign=True))
+    note = f"b_{letter}, mean over the recording"
+    return ParameterGroup(f"{title} bias", note, with_bars(rows, _pairs(values, spreads)))
+
+
+def _milli_g(value: float) -> str:
+    return number_text(1e3 * value / STANDARD_GRAVITY_M_S2, 3)
+
+
+def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit: str) -> ParameterGroup:
+    flat, spreads = 1e3 * values.ravel(), 1e3 * calibration.sigma(f"{path}.g_sensitivity").ravel()
+    rows: list[Parameter] = []
+    for (i, j), value, spread in zip(np.ndindex(3, 3), flat.tolist(), spreads.tolist(), strict=True):
+        per_g = f"{number_text(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
+        name = f"{AXES[i]} by force {AXES[j]}"
+        rows.append(parameter_line(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
+    group = ParameterGroup(
+        "Gyroscope g-sensitivity",
+        "B_g, on the specific force in the body frame (Krebs, chapter 4)",
+        with_bars(rows, _pairs(flat, spreads)),
+    )
+    return _marked(group, flat, spreads)
+
+
+def other_reading(calibration: Calibration, name: str) -> ReportTable | None:
+    """Return B_g as chapter 3 of Krebs reads it, on the force in the gyroscope's axes; None where it is zero."""
+    gyroscope = calibration.imus[name].gyroscope
+    if gyroscope is None or not gyroscope.g_sensitivity.any():
+        return None
+
+    def view(x: Floats) -> Floats:
+        _, C_gb = in_own_axes(np.reshape(x[:9], (3, 3)), "accel-x")
+        return 1e3 * (np.reshape(x[9:], (3, 3)) @ C_gb.T).ravel()
+
+    at = np.concatenate([gyroscope.sensitivity.ravel(), gyroscope.g_sensitivity.ravel()])
+    paths = (f"{name}.gyroscope.sensitivity", f"{name}.gyroscope.g_sensitivity")
+    values, spreads = view(at).reshape(3, 3), sigmas_of(view, at, calibration.covariance(*paths)).reshape(3, 3)
+    rows = tuple(
+        (f"rate about {axis}", *(estimate_text(v, s, sign=True) for v, s in _pairs(values[i], spreads[i])))
+        for i, axis in enumerate(AXES)
+    )
+    return ReportTable(
+        "g-sensitivity on the force in the gyroscope's axes (Krebs, chapter 3)",
+        (f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
+        rows,
+        "B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "
+        "is the same; Kalibr's A is this matrix too.",
+    )
 
 
 def nominal_mounting(R_cam_imu: Floats) -> Floats:
