@@ -27,7 +27,7 @@ import numpy as np
 
 import gnomon
 from gnomon.calibrate.steps.preparation import prepare_imu
-from gnomon.detect.samples.rests import static_statistic, window_samples
+from gnomon.detect.samples.stillness import static_statistic, window_samples
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(os.environ.get("GNOMON_DATA", HERE.parent.parent / "shared" / "data"))

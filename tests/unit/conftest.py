@@ -10,7 +10,7 @@ import pytest
 
 import gnomon
 from gnomon.calibrate.steps.preparation import weighted_stream
-from gnomon.detect.samples.rests import runs_below, static_statistic, window_samples
+from gnomon.detect.samples.stillness import static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
@@ -19,6 +19,7 @@ from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples
 from gnomon.results.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
 from gnomon.results.parameters import covariance_names
+from gnomon.results.result import runs_below
 
 
 @pytest.fixture(scope="session")

@@ -15,12 +15,8 @@ from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..assess.weak_findings import comparison_left_out, imu_weak, prior_findings
-from ..detect.samples.threshold import (
-    RestDetection,
-    ThresholdTrial,
-    accelerometer_course,
-    disturbed_intervals,
-)
+from ..detect.samples.rests import RestDetection, ThresholdTrial
+from ..detect.samples.static_intervals import accelerometer_course, disturbed_intervals
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
 from ..estimate.multiposition.evidence import free_jacobian, segment_sums, unseen_changes, with_runs

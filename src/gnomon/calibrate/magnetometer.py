@@ -13,8 +13,7 @@ from ..assess.checks.temperature_checks import check_thermometers
 from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
-from ..detect.samples.range_change import saturated_samples
-from ..detect.samples.repair import repair_samples
+from ..detect.samples.faults import repair_samples, saturated_samples
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
 from ..estimate.triads.blocks import TimeBlocks, block_covariance, leave_blocks_out, memory_s

@@ -18,10 +18,9 @@ from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import StillSpans, assess_noise, check_length, check_samples, check_still
 from ..assess.verdict import merge_by_cause, verdict_of
-from ..detect.samples.repair import dead_bands, isolated_readings, without_readings
-from ..detect.samples.repeats import RepeatWatch
-from ..detect.samples.rest import RestTable, RestWatch
-from ..detect.samples.threshold import averaging_time
+from ..detect.samples.faults import RepeatWatch, dead_bands, isolated_readings, without_readings
+from ..detect.samples.rest_watch import RestTable, RestWatch
+from ..detect.samples.static_intervals import averaging_time
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit

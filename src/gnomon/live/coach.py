@@ -13,7 +13,7 @@ import numpy as np
 
 from ..assess.needs import judge_for_use, needs_of_use
 from ..calibrate.imu import calibrate_imu
-from ..detect.samples.rests import quantisation_step
+from ..detect.samples.stillness import quantisation_step
 from ..errors import GnomonError
 from ..frozen import value_class
 from ..options.requirements import GENERAL, Use

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..detect.samples.range_change import saturated_samples
+from ..detect.samples.faults import saturated_samples
 from ..frozen import value_class
 from ..recording import ImuSamples, TriadSamples, smallest_steps
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2

@@ -10,8 +10,7 @@ from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream
-from ..detect.samples.range_change import saturated_samples
-from ..detect.samples.repair import repair_samples
+from ..detect.samples.faults import repair_samples, saturated_samples
 from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
 from ..frozen import value_class

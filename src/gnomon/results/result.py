@@ -49,6 +49,23 @@ class StaticIntervals:
         return StaticIntervals(start=self.start[keep], stop=self.stop[keep])
 
 
+def runs_below(statistic: Floats, threshold: float, shortest: int, margin: int = 0) -> StaticIntervals:
+    """Return the runs of samples whose statistic is below a threshold that are long enough.
+
+    Parameters
+    ----------
+    statistic : (n,)
+    threshold : compared with `statistic`
+    shortest : least number of samples in a run, after the margin is taken off
+    margin : samples taken off both ends of a run
+    """
+    still = np.concatenate([[False], statistic < threshold, [False]])
+    edges = np.flatnonzero(still[1:] != still[:-1])
+    start, stop = edges[::2] + margin, edges[1::2] - margin
+    long_enough = stop - start >= shortest
+    return StaticIntervals(start=start[long_enough], stop=stop[long_enough])
+
+
 def split_long(intervals: StaticIntervals, most: int) -> tuple[StaticIntervals, Integers]:
     """Return intervals of about the usual length, into which long ones are cut, and the number of each one's whole.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.detect.samples.repair import held_samples, isolated_readings, without_readings
+from gnomon.detect.samples.faults import held_samples, isolated_readings, without_readings
 from gnomon.recording import Floats
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.assess.checks.protocol import find_imu_rests
-from gnomon.detect.samples.range_change import find_range_change
-from gnomon.detect.samples.threshold import RestDetection
+from gnomon.detect.samples.rests import RestDetection, find_range_change
 from gnomon.recording import Floats, ImuSamples
 from gnomon.results.result import StaticIntervals
 from gnomon.simulate.imu import simulate_imu

@@ -8,7 +8,7 @@ import pytest
 
 import gnomon
 from gnomon.assess.checks.signals import check_signal
-from gnomon.detect.samples.repeats import RepeatWatch, repeated_stretches
+from gnomon.detect.samples.faults import RepeatWatch, repeated_stretches
 from gnomon.errors import OptionError, RecordingError
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.recording.recording import same_measurements, sample_fingerprint

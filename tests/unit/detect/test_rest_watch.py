@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.detect.samples import rest
-from gnomon.detect.samples.rest import RestWatch
+from gnomon.detect.samples import rest_watch
+from gnomon.detect.samples.rest_watch import RestWatch
 from gnomon.recording import TriadSamples
 
 
@@ -25,7 +25,7 @@ def test_a_short_recording_is_kept_as_it_is() -> None:
 
 @pytest.mark.parametrize("block", [100, 777, 4096])
 def test_of_a_long_one_means_are_kept(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rest, "_MOST_KEPT", 1000)
+    monkeypatch.setattr(rest_watch, "_MOST_KEPT", 1000)
     values = np.repeat(np.arange(20_000.0)[:, None], 3, axis=1)
     kept = watched(values, block).thinned()
     assert 400 < len(kept) <= 1000

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.detect.samples.range_change import saturated_samples
-from gnomon.detect.samples.repair import drop_repeated_timestamps
+from gnomon.detect.samples.faults import drop_repeated_timestamps, saturated_samples
 from gnomon.recording import TriadSamples
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gnomon import ImuNoise
 from gnomon.calibrate.turntable import calibrate_turntable
-from gnomon.detect.samples.range_change import saturated_samples
+from gnomon.detect.samples.faults import saturated_samples
 from gnomon.detect.samples.steady import find_steady, largest_rate
 from gnomon.errors import DetectionError, OptionError, SolveError
 from gnomon.estimate.turntable.parts import ForceBlocks, axis_in_sensor, drift_at

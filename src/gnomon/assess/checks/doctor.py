@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from ...detect.samples.threshold import RestDetection
+from ...detect.samples.rests import RestDetection
 from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...progress import tell_parts

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.range_change import RangeChange, find_range_change
+from ...detect.samples.rests import RangeChange, find_range_change
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples, measurable_numbers
 from ...results.result import StaticIntervals

@@ -6,10 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...detect.samples.range_change import RangeChange, saturated_samples
-from ...detect.samples.repair import repair_samples
-from ...detect.samples.rests import Rests
-from ...detect.samples.threshold import RestDetection, detect_rests
+from ...detect.samples.faults import repair_samples, saturated_samples
+from ...detect.samples.rests import RangeChange, RestDetection, Rests, detect_rests
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
 from ...results.result import Booleans, StaticIntervals, interval_means

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import dead_bands, held_samples, isolated_readings
-from ...detect.samples.repeats import repeated_stretches
+from ...detect.samples.faults import dead_bands, held_samples, isolated_readings, repeated_stretches, saturated_samples
 from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...frozen import value_class

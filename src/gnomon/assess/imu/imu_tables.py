@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ...detect.samples.threshold import ThresholdTrial, allan_deviation, averaging_time
+from ...detect.samples.rests import ThresholdTrial
+from ...detect.samples.static_intervals import allan_deviation, averaging_time
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.evidence import LeaveOneOutErrors
 from ...estimate.multiposition.fit import MultiPositionFit

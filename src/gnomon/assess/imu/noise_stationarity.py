@@ -6,7 +6,7 @@ from math import erf, sqrt
 
 import numpy as np
 
-from ...detect.samples.rest import RestTable
+from ...detect.samples.rest_watch import RestTable
 from ...estimate.allan.patterns import HighPass, MeansPattern, find_high_pass, find_pattern, find_steps
 from ...findings import Finding, make_finding
 from ...frozen import value_class

@@ -6,7 +6,7 @@ from math import isfinite, pi
 
 import numpy as np
 
-from ...detect.samples.rest import RestTable, Stir, find_stir
+from ...detect.samples.rest_watch import RestTable, Stir, find_stir
 from ...errors import RecordingError
 from ...estimate.allan.fit import AxisFit
 from ...findings import Finding, make_finding

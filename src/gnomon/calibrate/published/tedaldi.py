@@ -19,7 +19,7 @@ from ...assess.imu.imu_tables import (
 from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings
 from ...assess.imu.triad_verdict import unit_findings
 from ...assess.verdict import gravity_findings, with_verdict
-from ...detect.samples.threshold import resting_noise
+from ...detect.samples.static_intervals import resting_noise
 from ...estimate.multiposition.measurements import UPPER, MotionSegments
 from ...estimate.multiposition.problem import ImuEstimate
 from ...estimate.multiposition.tedaldi import RULES, leave_group_out

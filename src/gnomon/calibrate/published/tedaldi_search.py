@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...assess.imu.imu_tables import root_mean_square
-from ...detect.samples.rests import runs_below, variance_magnitude_squared, window_samples, window_variances
+from ...detect.samples.stillness import variance_magnitude_squared, window_samples, window_variances
 from ...errors import DetectionError, InitialisationError
 from ...estimate.multiposition.measurements import UPPER, MagnitudeFit, MotionSegments, cut_segments, segments_between
 from ...estimate.multiposition.problem import gyroscope_intervals
@@ -19,7 +19,7 @@ from ...estimate.multiposition.tedaldi import (
 )
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
-from ...results.result import StaticIntervals, interval_means
+from ...results.result import StaticIntervals, interval_means, runs_below
 from ..steps.preparation import PreparedImu
 
 _FEWEST_AT_FIRST = 10  # samples that tell the noise

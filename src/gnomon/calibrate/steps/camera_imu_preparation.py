@@ -10,9 +10,7 @@ from ...assess.checks.camera_checks import check_cameras
 from ...assess.checks.rig_checks import check_clock_changes, check_look, name_imu
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
 from ...assess.weak_findings import cameras_disagree
-from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import held_samples, repair_samples
-from ...detect.samples.rests import runs_below
+from ...detect.samples.faults import held_samples, repair_samples, saturated_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels
@@ -35,6 +33,7 @@ from ...models.target import Target
 from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats, Recording, TriadSamples
 from ...results.calibration import Calibration, Covariance, Gravity
+from ...results.result import runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}

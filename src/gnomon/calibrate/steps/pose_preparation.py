@@ -5,17 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_magnitude, check_signal
-from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import repair_samples
-from ...detect.samples.rests import (
-    resting_variances,
-    runs_below,
-    variance_magnitude_squared,
-    window_samples,
-    window_variances,
-)
-from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.threshold import resting_noise
+from ...detect.samples.faults import repair_samples, saturated_samples
+from ...detect.samples.static_intervals import resting_noise, rounding_variance
+from ...detect.samples.stillness import resting_variances, variance_magnitude_squared, window_samples, window_variances
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.multiposition.measurements import cut_segments, segments_between
@@ -25,7 +17,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
-from ...results.result import Booleans, StaticIntervals, interval_means
+from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
 from .preparation import PreparedImu, assumption_finding, check_and_detect, raise_first_problem
 from .protocol import GAP_NS, recording_gaps
 

@@ -9,11 +9,9 @@ import numpy as np
 
 from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
-from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import repair_samples
-from ...detect.samples.repeats import repeated_stretches
-from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.threshold import RestDetection, resting_noise
+from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
+from ...detect.samples.rests import RestDetection
+from ...detect.samples.static_intervals import resting_noise, rounding_variance
 from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import ImuEstimate, TriadStream

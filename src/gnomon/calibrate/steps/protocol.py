@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...detect.samples.threshold import FEWEST_INTERVALS
+from ...detect.samples.rests import FEWEST_INTERVALS
 from ...errors import DetectionError
 from ...options import ImuOptions
 from ...recording import Recording, TriadSamples

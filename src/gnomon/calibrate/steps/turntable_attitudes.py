@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...detect.samples.static_intervals import resting_noise
 from ...detect.samples.steady import block_means, block_samples
-from ...detect.samples.threshold import resting_noise
 from ...errors import RecordingError
 from ...estimate.turntable.parts import (
     AxisInSensor,

@@ -7,8 +7,7 @@ import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
 from ...assess.checks.temperature_checks import check_thermometers
-from ...detect.samples.range_change import saturated_samples
-from ...detect.samples.repair import repair_samples
+from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.turntable.parts import TurntableParts

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...detect.samples.rest import RestTable, RestWatch, find_stir
+from ...detect.samples.rest_watch import RestTable, RestWatch, find_stir
 from ...errors import RecordingError
 from ...estimate.temperature.bias_drift import WarmUp
 from ...frozen import value_class

@@ -1,20 +1,38 @@
-"""The rests of a recording: where the accelerometer is still, which part of each is used, and why others are not.
+"""The rests of a recording: which part of each is used, why others are not, and at which threshold they are found.
 
-Static intervals by the variance magnitude of the accelerometer (Tedaldi 2014, section 3.4.1).
+The threshold is chosen by what the calibration gains from it (Tedaldi 2014, Algorithm 1). The summed residual of
+Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the uncertainty that the
+accelerometer's parameters would have with its intervals, at the noise that leaving each interval out reveals: more data
+lower it, intervals that hold motion raise it.
 
-Eq. (3.9): the square of the variance magnitude, s^2(t) = sum over the axes of var(a)^2 in a window of t_w seconds
-centred in t, is compared with a multiple of its level at rest. Each axis is measured by its own level at rest first, so
-that neither the unit nor an axis with more noise than the others matters.
+In some recordings the accelerometer reads gravity several times as large from one instant on: its full-scale range was
+set anew (a brown-out sets it back), its unit was changed, or another sensor's samples follow. No bias or scale of a
+working sensor does that. The rests of one side only can be calibrated together.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
+from ...errors import InitialisationError
+from ...estimate.multiposition.measurements import MagnitudeFit, fit_magnitude
+from ...estimate.trust.changes import estimates_are_judged
 from ...frozen import value_class
+from ...progress import tell_parts
 from ...recording import Floats, Integers, TriadSamples
-from ...results.result import Booleans, StaticIntervals, interval_means
-from .turning import RateMarks, mark_rates
+from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
+from ...units import ACCELEROMETER_UNITS_M_S2
+from .stillness import RateMarks, mark_rates, static_statistic, window_samples
 
-_CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
+MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
+_FEW = (10.0, 300.0)  # where an estimate alone is wanted: the usual one, and one for a hand that trembles
+SHORTEST_S = 0.5
+FEWEST_INTERVALS = 9
+_USUAL = 10.0  # multiplier where nothing tells which serves best
+_SHAKES = "it shakes more than the rests that are used"
+_RANGE = "the accelerometer reads gravity as another number there"
+_LOUD, _LOUDEST = 1e6, 1e12  # multipliers at which a rest that shakes 30 and 1000 times as much is still seen
+
 _SURELY_STILL = 10.0  # times the resting level of s^2
 _SAME_ATTITUDE = 0.03  # of half the range of all means
 _ONE_ATTITUDE = 0.03  # of what is read: where no rest is farther from another, all of them are in one
@@ -23,132 +41,10 @@ _UNSEEN_S = 0.5  # without a sample
 _LOOKED_AT = 10_000  # samples, about, that tell the rate at rest
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
 
-
-def window_samples(samples: TriadSamples, window_s: float) -> int:
-    """Return the odd number of samples in a window of `window_s` seconds, at least three."""
-    return 2 * max(1, round(0.5 * window_s * samples.rate_hz)) + 1
-
-
-def window_variances(values: Floats, window: int) -> Floats:
-    """Return the variance of each axis in a centred window, var of Eq. (3.9), for every sample, (n, 3), in linear time.
-
-    Samples closer to an end than half a window take the value of the nearest full window.
-
-    Parameters
-    ----------
-    values : (n, 3) [unit]
-    window : odd number of samples in the centred window, at most n
-    """
-    n, half = len(values), window // 2
-    variances = np.empty((n, 3))
-    for first in range(half, n - half, _CHUNK):
-        last = min(first + _CHUNK, n - half)
-        part = np.array(values[first - half : last + half].T)
-        part -= part.mean(axis=1, keepdims=True)  # small numbers keep the running sums exact
-        sums = _window_sums(part, window)
-        part *= part
-        spread = _window_sums(part, window)
-        spread -= sums * sums / window
-        spread /= window - 1
-        variances[first:last] = spread.T
-    variances[:half] = variances[half]
-    variances[n - half :] = variances[n - half - 1]
-    return variances
-
-
-def _window_sums(rows: Floats, window: int) -> Floats:
-    """Return the sums of `window` neighbours along rows, (k, n) -> (k, n - window + 1)."""
-    running = np.cumsum(rows, axis=1)
-    sums = running[:, window - 1 :].copy()
-    sums[:, 1:] -= running[:, :-window]
-    return sums
-
-
-def variance_magnitude_squared(variances: Floats, level: Floats | float = 1.0) -> Floats:
-    """Return s^2 of Eq. (3.9), (n,): the sum over the axes of (variance / level)^2.
-
-    Parameters
-    ----------
-    variances : (n, 3), from `window_variances`
-    level : (3,) variance of each axis at rest, or 1 for s^2 in the sensor's unit as printed
-    """
-    weight = np.square(np.broadcast_to(np.minimum(1 / np.asarray(level), 1e150), 3))  # a silent axis stays finite
-    return np.einsum("ij,ij,j->i", variances, variances, weight)
-
-
-def resting_variances(variances: Floats, values: Floats, window: int) -> Floats:
-    """Return the variance of each axis at rest, (3,), without being told when the sensor rested.
-
-    Noise at rest is the quietest that a sensor shows, so the level is taken from the quietest windows: the tenth
-    percentile over windows that do not overlap. It is never below the variance of rounding to the sensor's steps, since
-    a coarse sensor may show none at all.
-
-    Parameters
-    ----------
-    variances : (n, 3), from `window_variances`
-    values : (n, 3) [unit]
-    window : samples in a window
-    """
-    quiet = np.quantile(variances[window // 2 :: window], 0.1, axis=0)
-    return np.maximum(np.maximum(quiet, quantisation_step(values) ** 2 / 12), np.finfo(float).tiny)
-
-
-def quantisation_step(values: Floats) -> Floats:
-    """Return the smallest step of each axis between different neighbours, (3,) [unit]; 0 if it never changes."""
-    smallest = np.zeros(3)
-    for axis in range(3):
-        steps = np.abs(np.diff(values[:_CHUNK, axis]))
-        moving = steps[steps > 0]
-        smallest[axis] = moving.min() if moving.size else 0.0
-    return smallest
-
-
-def runs_below(statistic: Floats, threshold: float, shortest: int, margin: int = 0) -> StaticIntervals:
-    """Return the runs of samples with s^2 below the threshold that are long enough.
-
-    Parameters
-    ----------
-    statistic : (n,)
-    threshold : compared with `statistic`
-    shortest : least number of samples in a run, after the margin is taken off
-    margin : samples taken off both ends of a run
-    """
-    still = np.concatenate([[False], statistic < threshold, [False]])
-    edges = np.flatnonzero(still[1:] != still[:-1])
-    start, stop = edges[::2] + margin, edges[1::2] - margin
-    long_enough = stop - start >= shortest
-    return StaticIntervals(start=start[long_enough], stop=stop[long_enough])
-
-
-def static_statistic(values: Floats, window: int) -> Floats:
-    """Return s^2 relative to its level at rest, (n,): about 1 where the sensor rests.
-
-    Parameters
-    ----------
-    values : (n, 3) [unit]
-    window : odd number of samples, at most n
-    """
-    variances = window_variances(values, window)
-    level = resting_variances(variances, values, window)
-    return variance_magnitude_squared(variances, level) / 3
-
-
-def trim_intervals(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
-    """Return the intervals without the samples at their ends that stir, where enough is left.
-
-    Parameters
-    ----------
-    stirs : (n,) from `turning.mark_rates`
-    shortest : least number of samples
-    """
-    quiet = np.flatnonzero(~stirs)
-    if not len(quiet) or not len(intervals):
-        return intervals.where(np.zeros(len(intervals), dtype=bool))
-    first = np.searchsorted(quiet, intervals.start)
-    last = np.searchsorted(quiet, intervals.stop) - 1
-    start, stop = quiet[np.minimum(first, len(quiet) - 1)], quiet[np.maximum(last, 0)] + 1
-    keep = (last >= first) & (stop - start >= shortest)
-    return StaticIntervals(start=start[keep], stop=stop[keep])
+_FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
+_ALIKE = 0.25  # of a side's median: scales of raw counts differ by that from axis to axis
+_FEW_ODD = 0.1  # of a side's rests that may read anything
+_FEWEST = 2  # rests on either side
 
 
 @value_class
@@ -242,6 +138,167 @@ class RestStatistics:
         return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned, unseen=unseen)
 
 
+@value_class
+class RangeChange:
+    """Where the accelerometer began to read gravity as another number.
+
+    Attributes
+    ----------
+    last, first : last sample of the last rest before it, and first sample of the first rest after it
+    factor : what is read after it, over what was read before
+    kept : samples of the side that is calibrated, from its first to one past its last
+    """
+
+    last: int
+    first: int
+    factor: float
+    kept: tuple[int, int]
+
+
+@value_class
+class ThresholdTrial:
+    """One threshold: its rests, the weighted fit to their means, and the criterion (smaller is better)."""
+
+    multiplier: float
+    rests: Rests
+    means: Floats
+    fit: MagnitudeFit | None
+    heldout_rms: float
+    criterion: float
+
+    @property
+    def intervals(self) -> StaticIntervals:
+        """What can be used of the rests."""
+        return self.rests.intervals
+
+
+@value_class
+class RestDetection:
+    """The rests of a recording at the threshold that was taken.
+
+    Attributes
+    ----------
+    motion : what the detectors saw
+    chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken. Rests of
+        the one taken are with those that only a higher threshold shows, which are not used
+    gyroscope : repaired samples
+    range_change : where the accelerometer began to read another magnitude; rests of one side are used
+    """
+
+    motion: RestStatistics
+    chosen: ThresholdTrial
+    trials: tuple[ThresholdTrial, ...]
+    gyroscope: TriadSamples
+    range_change: RangeChange | None = None
+
+
+def detect_rests(
+    accelerometer: TriadSamples,
+    gyroscope: TriadSamples,
+    saturated: Booleans,
+    *,
+    t_s: tuple[Floats, Floats],
+    window_s: float = 1.0,
+    multiplier: float | None = None,
+    gravity_m_s2: float = 9.81,
+) -> RestDetection | None:
+    """Find the rests of a recording, for whoever asks; None where it is shorter than two windows.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope : repaired samples; a gyroscope may have none
+    saturated : (n,) clipped samples of the accelerometer
+    t_s : (n,), (m,) instants of both [s]
+    window_s, multiplier : as stated; the multiplier that serves best where it is None
+    gravity_m_s2 : magnitude of gravity
+    """
+    window = window_samples(accelerometer, window_s)
+    if len(accelerometer) < 2 * window:
+        return None
+    statistic = static_statistic(accelerometer.values, window)
+    motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
+    usual, loudest = (find_rests(motion, m, _shortest(accelerometer)) for m in (_USUAL, _LOUD))
+    change = _range_change(accelerometer, (usual, loudest), gravity_m_s2)
+    if change is not None:
+        first, end = change.kept
+        statistic = np.full(len(accelerometer), np.inf)
+        statistic[first:end] = static_statistic(accelerometer.values[first:end], min(window, end - first))
+        motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
+        usual = None
+    several = MULTIPLIERS if estimates_are_judged() else _FEW
+    multipliers = several if multiplier is None else (multiplier,)
+    chosen, trials = choose_threshold(motion, gravity_m_s2, multipliers, usual=usual)
+    if chosen.fit is None:
+        chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
+    if len(gyroscope):  # which alone tells a rest that shakes from a slow turn
+        if change is None:
+            steady = replace(motion, statistic=np.where(motion.marks.turns, np.inf, motion.statistic))
+            loudest = find_rests(steady, _LOUDEST, _shortest(accelerometer))
+        chosen = replace(chosen, rests=_with_unused(chosen.rests, loudest, change))
+    return RestDetection(motion=motion, chosen=chosen, trials=trials, gyroscope=gyroscope, range_change=change)
+
+
+def choose_threshold(
+    motion: RestStatistics,
+    gravity_m_s2: float,
+    multipliers: tuple[float, ...] = MULTIPLIERS,
+    usual: Rests | None = None,
+) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
+    """Return the best threshold and all that were tried; the best has no fit where none could be calibrated.
+
+    `usual` are the rests at a multiplier of 10, where they are known.
+    """
+    each = tell_parts("finding static intervals", multipliers, len(multipliers))
+    trials = tuple(try_threshold(motion, m, gravity_m_s2, usual if m == _USUAL else None) for m in each)
+    best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
+    return best, trials
+
+
+def try_threshold(
+    motion: RestStatistics, multiplier: float, gravity_m_s2: float, rests: Rests | None = None
+) -> ThresholdTrial:
+    """Find the static intervals at one threshold and judge them.
+
+    Parameters
+    ----------
+    motion : what the detectors saw
+    multiplier : threshold in units of the resting level
+    gravity_m_s2 : magnitude of gravity
+    rests : at that threshold, where they are known
+    """
+    samples = motion.samples
+    rests = rests or find_rests(motion, multiplier, _shortest(samples))
+    intervals = rests.intervals
+    means = interval_means(samples.values, intervals)
+    nothing = ThresholdTrial(
+        multiplier=multiplier, rests=rests, means=means, fit=None, heldout_rms=np.nan, criterion=np.inf
+    )
+    if len(intervals) < FEWEST_INTERVALS + 1:
+        return nothing
+    duration = (intervals.stop - intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    try:
+        fit = fit_magnitude(means, gravity_m_s2, weight, tolerance=1e-6)
+    except InitialisationError:
+        return nothing
+    left_out = fit.residual / np.maximum(1 - fit.leverage, 1e-6)
+    variance = float(np.mean(left_out**2))
+    scaled = fit.covariance / np.outer(*(2 * [np.sqrt(np.diag(fit.covariance))]))
+    logs = np.linalg.slogdet(scaled)[1] + np.sum(np.log(np.diag(fit.covariance)))
+    return ThresholdTrial(
+        multiplier=multiplier,
+        rests=rests,
+        means=means,
+        fit=fit,
+        heldout_rms=float(np.sqrt(np.mean((left_out / weight) ** 2))),
+        criterion=0.5 * (float(logs) / 9 + np.log(max(variance, 1e-300))),
+    )
+
+
+def _shortest(samples: TriadSamples) -> int:
+    return max(2, round(SHORTEST_S * samples.rate_hz))
+
+
 def find_rests(motion: RestStatistics, multiplier: float, shortest: int) -> Rests:
     """Return the rests at one threshold, and what can be used of each.
 
@@ -283,22 +340,6 @@ def find_rests(motion: RestStatistics, multiplier: float, shortest: int) -> Rest
     )
 
 
-def _count(marked: Booleans, intervals: StaticIntervals) -> Integers:
-    """Return how many samples of each interval are marked."""
-    at = np.flatnonzero(marked)
-    return np.searchsorted(at, intervals.stop) - np.searchsorted(at, intervals.start)
-
-
-def _parts(
-    motion: RestStatistics, turns: Booleans, stirs: Booleans, multiplier: float, shortest: int
-) -> StaticIntervals:
-    """Return what can be used of rests, where the gyroscope is told to turn and to stir."""
-    steady = runs_below(np.where(turns, np.inf, motion.statistic), multiplier, shortest)
-    parts = trim_intervals(steady, stirs, shortest)
-    parts = parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
-    return parts if motion.unseen is None else parts.where(_count(motion.unseen, parts) == 0)
-
-
 def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
     """Return the number of the rest that each piece belongs to, from 0."""
     if len(pieces) < 2:
@@ -312,6 +353,40 @@ def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
             gap = slice(int(pieces.stop[k]), int(pieces.start[k + 1]))
             other[k] = motion.statistic[gap].max() > _MOVED and motion.turned[gap].max() > _TURNED
     return np.concatenate([[0], np.cumsum(other)])
+
+
+def _parts(
+    motion: RestStatistics, turns: Booleans, stirs: Booleans, multiplier: float, shortest: int
+) -> StaticIntervals:
+    """Return what can be used of rests, where the gyroscope is told to turn and to stir."""
+    steady = runs_below(np.where(turns, np.inf, motion.statistic), multiplier, shortest)
+    parts = trim_intervals(steady, stirs, shortest)
+    parts = parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
+    return parts if motion.unseen is None else parts.where(_count(motion.unseen, parts) == 0)
+
+
+def trim_intervals(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
+    """Return the intervals without the samples at their ends that stir, where enough is left.
+
+    Parameters
+    ----------
+    stirs : (n,) from `stillness.mark_rates`
+    shortest : least number of samples
+    """
+    quiet = np.flatnonzero(~stirs)
+    if not len(quiet) or not len(intervals):
+        return intervals.where(np.zeros(len(intervals), dtype=bool))
+    first = np.searchsorted(quiet, intervals.start)
+    last = np.searchsorted(quiet, intervals.stop) - 1
+    start, stop = quiet[np.minimum(first, len(quiet) - 1)], quiet[np.maximum(last, 0)] + 1
+    keep = (last >= first) & (stop - start >= shortest)
+    return StaticIntervals(start=start[keep], stop=stop[keep])
+
+
+def _count(marked: Booleans, intervals: StaticIntervals) -> Integers:
+    """Return how many samples of each interval are marked."""
+    at = np.flatnonzero(marked)
+    return np.searchsorted(at, intervals.stop) - np.searchsorted(at, intervals.start)
 
 
 def _why(motion: RestStatistics, start: int, stop: int) -> str:
@@ -329,3 +404,83 @@ def _why(motion: RestStatistics, start: int, stop: int) -> str:
         (turns, "the gyroscope shows that the sensor turned"),
     )
     return next((words for holds, words in reasons if holds), "too short without its ends, which stir")
+
+
+def _with_unused(rests: Rests, loudest: Rests, change: RangeChange | None) -> Rests:
+    """Return the rests with those that were found at the highest threshold only, as not used.
+
+    Short ones are left away, since any motion is slow for a moment, and those in which the gyroscope turns.
+    """
+    if not len(rests):
+        return rests
+    inside = change.kept if change is not None else (0, np.inf)
+    other = (loudest.kept.start < inside[0]) | (loudest.kept.stop > inside[1])
+    length = np.median(rests.found.stop - rests.found.start)
+    begins = np.searchsorted(rests.found.stop, loudest.kept.start, side="right")
+    ends = np.searchsorted(rests.found.start, loudest.kept.stop)
+    apart = begins >= ends
+    extra = apart & (other | loudest.used) & (loudest.kept.stop - loudest.kept.start > 0.5 * length)
+    if not extra.any():
+        return rests
+    order = np.argsort(np.concatenate([rests.kept.start, loudest.kept.start[extra]]))
+    reason = (*rests.reason, *(_RANGE if there else _SHAKES for there in other[extra]))
+    return Rests(
+        found=_joined(rests.found, loudest.found.where(extra), order),
+        kept=_joined(rests.kept, loudest.kept.where(extra), order),
+        reason=tuple(reason[k] for k in order),
+    )
+
+
+def _joined(one: StaticIntervals, other: StaticIntervals, order: Integers) -> StaticIntervals:
+    return StaticIntervals(
+        start=np.concatenate([one.start, other.start])[order], stop=np.concatenate([one.stop, other.stop])[order]
+    )
+
+
+def _range_change(samples: TriadSamples, rests: tuple[Rests, ...], gravity_m_s2: float) -> RangeChange | None:
+    """Return the change that one of several sets of rests shows: loud rests are in one, quiet ones apart in another."""
+    unit = ACCELEROMETER_UNITS_M_S2[samples.unit]
+    gravity = gravity_m_s2 / unit if unit else None
+    reads = [np.linalg.norm(interval_means(samples.values, some.found), axis=1) for some in rests]
+    changes = (
+        find_range_change(read, some.found, len(samples), gravity, FEWEST_INTERVALS + 1)
+        for read, some in zip(reads, rests, strict=True)
+    )
+    return next((change for change in changes if change is not None), None)
+
+
+def find_range_change(
+    read: Floats, parts: StaticIntervals, samples: int, gravity: float | None = None, enough: int = 0
+) -> RangeChange | None:
+    """Return the one instant from which on gravity is read as another number; None where all read about the same.
+
+    The side that reads gravity is kept where it has enough rests, else the one with more of them.
+
+    Parameters
+    ----------
+    read : (m,) magnitude of gravity as each part read it [unit]
+    parts : (m,) rests in order of time, found whatever their noise, or stretches of a motion
+    samples : number of samples of the recording
+    gravity : in that unit; None for counts
+    enough : number of rests that determine a calibration
+    """
+    if len(read) < 2 * _FEWEST or not (read > 0).all():
+        return None
+    logs = np.log(read)
+    away = np.cumsum(logs - logs.mean())[_FEWEST - 1 : -_FEWEST]
+    k = int(np.argmax(np.abs(away))) + _FEWEST
+    before, after = float(np.median(read[:k])), float(np.median(read[k:]))
+    sides = (read[:k], before), (read[k:], after)
+    alike = all(float(np.mean(np.abs(side / middle - 1) > _ALIKE)) <= _FEW_ODD for side, middle in sides)
+    low, high = (side for side, _ in sorted(sides, key=lambda side: side[1]))
+    apart = np.quantile(low, 1 - _FEW_ODD) < np.quantile(high, _FEW_ODD)
+    if not (alike and apart) or max(before, after) < _FACTOR * min(before, after):
+        return None
+    last, first = int(parts.stop[k - 1]) - 1, int(parts.start[k])
+    middle = (last + first + 1) // 2
+    counts = (k, len(read) - k)
+    errors = [abs(np.log(one / gravity)) if gravity else 0.0 for one in (before, after)]
+    best = min((0, 1), key=lambda side: (counts[side] < enough, errors[side] > np.log(_FACTOR), -counts[side]))
+    return RangeChange(
+        last=last, first=first, factor=after / before, kept=(0, middle) if best == 0 else (middle, samples)
+    )

@@ -7,31 +7,22 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.detect.samples import rests
-from gnomon.detect.samples.rests import (
-    RestStatistics,
-    find_rests,
+from gnomon.detect.samples import stillness
+from gnomon.detect.samples.rests import RestStatistics, choose_threshold, detect_rests, find_rests, trim_intervals
+from gnomon.detect.samples.static_intervals import allan_deviation, averaging_time, disturbed_intervals, resting_noise
+from gnomon.detect.samples.stillness import (
+    RateMarks,
+    mark_rates,
     quantisation_step,
     resting_variances,
-    runs_below,
     static_statistic,
-    trim_intervals,
     variance_magnitude_squared,
     window_samples,
     window_variances,
 )
-from gnomon.detect.samples.threshold import (
-    allan_deviation,
-    averaging_time,
-    choose_threshold,
-    detect_rests,
-    disturbed_intervals,
-    resting_noise,
-)
 from gnomon.detect.samples.time_base import time_base
-from gnomon.detect.samples.turning import RateMarks, mark_rates
 from gnomon.recording import TriadSamples
-from gnomon.results.result import StaticIntervals, interval_means
+from gnomon.results.result import StaticIntervals, interval_means, runs_below
 
 
 def triad(values, rate_hz=100.0, unit="m/s^2"):
@@ -45,7 +36,7 @@ def triad(values, rate_hz=100.0, unit="m/s^2"):
 @pytest.mark.parametrize("chunk", [1, 5, 64, 10_000])
 @pytest.mark.parametrize(("n", "window"), [(3, 3), (9, 9), (60, 5), (200, 21), (131, 101)])
 def test_variances_are_those_of_every_window(monkeypatch, chunk, n, window):
-    monkeypatch.setattr(rests, "_CHUNK", chunk)
+    monkeypatch.setattr(stillness, "_CHUNK", chunk)
     rng = np.random.default_rng(n)
     values = 32768 + rng.normal(0, [1.0, 30.0, 1000.0], (n, 3))
     half = window // 2

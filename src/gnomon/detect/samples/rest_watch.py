@@ -7,7 +7,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
 from ...results.result import Booleans
-from .repair import on_lines
+from .faults import on_lines
 
 _WINDOW_S = 1.0
 _FEWEST = 16
