@@ -16,7 +16,7 @@ from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.parameters import ImuParameters
 from gnomon.estimate.camera_imu.start.imu_alignment import with_stated_pose
 from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
-from gnomon.estimate.camera_imu.terms.inertial_data import (
+from gnomon.estimate.camera_imu.terms.inertial_terms import (
     InertialData,
     TriadData,
     predicted_readings,

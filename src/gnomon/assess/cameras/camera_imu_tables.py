@@ -13,12 +13,11 @@ from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.solution import Solution, frame_mean_square
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
-from ...estimate.camera_imu.terms.inertial_data import (
+from ...estimate.camera_imu.terms.inertial_terms import (
     ImuBeforehand,
     InertialData,
     body_clock_times,
     predicted_readings,
-    specific_force,
 )
 from ...estimate.camera_imu.terms.visual_terms import exposure_times
 from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, KnotGrid, Places
@@ -313,7 +312,7 @@ def _trajectory(evidence: CameraImuFitSummary, marginals: tuple[Floats, Floats] 
         p_target_imu=motion.position,
         q_target_imu_wxyz=quaternion_from_rotation(motion.R),
         omega_imu=motion.omega,
-        f_imu=specific_force(motion, solution.state.parameters.gravity),
+        f_imu=motion.specific_force(solution.state.parameters.gravity),
         attitude_sigma=None if sigma is None else sigma[:, :3],
         position_sigma=None if sigma is None else sigma[:, 3:],
     )

@@ -24,7 +24,7 @@ from ...estimate.camera_imu.start.first_guess import (
     per_corner,
 )
 from ...estimate.camera_imu.start.imu_alignment import ImuAlignment, accelerometer_delay, first_imu, with_stated_pose
-from ...estimate.camera_imu.terms.inertial_data import (
+from ...estimate.camera_imu.terms.inertial_terms import (
     InertialData,
     TriadData,
     knots_per_s,

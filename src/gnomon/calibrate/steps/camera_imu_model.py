@@ -35,7 +35,7 @@ from ...estimate.camera_imu.result.misfits import board_evidence, counting_corne
 from ...estimate.camera_imu.result.uncertainty import cluster_sums
 from ...estimate.camera_imu.solution import Solution, judged_after, minimise_cost
 from ...estimate.camera_imu.start.first_guess import CameraAlignment
-from ...estimate.camera_imu.terms.inertial_data import on_trajectory
+from ...estimate.camera_imu.terms.inertial_terms import on_trajectory
 from ...estimate.trust.changes import postpone_search
 from ...estimate.trust.clusters import ClusterSums, correlation_time, group_into_clusters, leave_clusters_out
 from ...findings import Finding

@@ -22,7 +22,7 @@ from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses
 from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream
 from ...estimate.camera_imu.start.imu_alignment import ImuAlignment
 from ...estimate.camera_imu.terms.assembly import from_known
-from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, TriadData
+from ...estimate.camera_imu.terms.inertial_terms import ImuBeforehand, InertialData, TriadData
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation

@@ -156,6 +156,16 @@ class ImuParameters:
         return by_places[:, :, 3:]
 
     @property
+    def origin_places(self) -> Floats:
+        """Three times where its origin is from the body's, in its axes, (3, 3), a row each [m]."""
+        return np.tile(-self.p_imu_body, (3, 1))
+
+    @property
+    def accelerometer_places(self) -> Floats:
+        """Where its accelerometers are from the body's origin, in its axes, (3, 3), a row each [m]."""
+        return self.places - self.p_imu_body
+
+    @property
     def is_body(self) -> bool:
         """Whether its axes and its origin are the body's, as those of the first IMU are."""
         return not self.p_imu_body.any() and bool((self.R_imu_body == np.eye(3)).all())

@@ -24,7 +24,7 @@ from .gauss_newton import (
 )
 from .layout import BorderLayout
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
-from .terms.inertial_data import InertialNoise
+from .terms.inertial_terms import InertialNoise
 
 GATE = 4.0
 """A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""

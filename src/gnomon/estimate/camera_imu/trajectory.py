@@ -193,6 +193,10 @@ class MotionState:
             :, :, 0
         ]
 
+    def specific_force(self, gravity: Floats) -> Floats:
+        """Return the specific force at the body's origin under gravity (3,), IMU frame, (n, 3) [m/s^2]."""
+        return np.matmul((self.acceleration - gravity)[:, None, :], self.R)[:, 0, :]
+
     def alpha_jacobians(self) -> tuple[Floats, Floats, Floats]:
         """Return the derivatives (n, 3, 3) of `alpha` by the rotation vector, its rate and its acceleration."""
         by_phi = angular_acceleration_by_phi(self.phi, self.phi_rate, self.phi_acceleration)

@@ -25,7 +25,7 @@ from ..batch import RigState, error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, by_span, taken_together
 from ..terms.corner_sums import exposure_chunks
-from ..terms.inertial_data import InertialData, InertialNoise, predicted_readings
+from ..terms.inertial_terms import InertialData, InertialNoise, predicted_readings
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import BIAS, POSE, Bases
 from .uncertainty import TriadMisfit, Uncertainty, bias_sides

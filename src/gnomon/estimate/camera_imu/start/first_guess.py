@@ -30,7 +30,7 @@ from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status
 from ..parameters import BoardPoints, CameraParameters, ImuParameters, RigParameters, gravity_axes
 from ..terms.corner_sums import Exposures
-from ..terms.inertial_data import InertialData
+from ..terms.inertial_terms import InertialData
 from .alignment import Alignment, align_camera, gyroscope_integral
 from .board_poses import BoardPoses, averaged_derivative, averaged_readings, board_poses, camera_accelerations
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory

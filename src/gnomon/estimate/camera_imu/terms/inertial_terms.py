@@ -1,54 +1,275 @@
-"""The error terms of gyroscope and accelerometer (Krebs, section 4.1.2).
+"""Readings of gyroscopes and accelerometers, and their error terms (Krebs, section 4.1.2).
 
     e_g = S_g M_g C_bg' omega + B_g f + b_g - gyroscope,     e_a = S_a M_a f + b_a - accelerometer,
 
-with the specific force f = R' (p'' - g), R = R_target_imu(t). Their derivatives: a change d of the rotation vector
-turns the body by Jr d, so that df = [f]x Jr d - R' dg + R' dp''.
-
-Where the three accelerometers do not sit at one point, e_a has the f that each of them feels at its place r_k,
+with the specific force f = R' (p'' - g), R = R_target_imu(t). Where the three accelerometers do not sit at one point,
+e_a has the f that each of them feels at its place r_k,
 
     f_k + e_k' A r_k,   A = [alpha]x + [omega]x^2,   alpha = omega',
 
 while the gyroscope's g-sensitivity acts on f at the IMU's origin. An IMU beside the first has omega, alpha and f in its
-own axes, and its places are counted from the body's origin (`felt`). Its clock, t_body = t_imu + d, moves the readings
-along the trajectory: de/dd is the derivative of e by time, that by the control points times theirs.
+own axes: with R = R_imu_body and t the last column of T_imu_body, a sensor at r in its frame sits at r - t from the
+body's origin, and
+
+    omega_i = R omega,   alpha_i = R alpha,   f_i = R f + A (r - t),   A = [alpha_i]x + [omega_i]x^2.
+
+How many knots readings support: a spline of order 6 follows motion up to about 1/4.5 of its knot rate within a
+hundredth of usual noise (measured: the error falls from twenty sigmas at 2.5 knots a period to 0.01 at 4.5). Up to
+which frequency there is motion shows in the spectrum of the readings above their floor of white noise. More knots cost
+no accuracy, but from half the IMU's rate on they would follow its noise.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
-from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
+from ....geometry.rotation_vector import acceleration_by_place, along_axes
 from ....kernel import library
-from ....models.matrix_pattern import DIAGONAL, FULL, LOWER
+from ....models.matrix_pattern import LOWER
+from ....models.noise import ImuNoise
 from ....recording import Floats, Integers
-from ..layout import BorderLayout
-from ..parameters import RigParameters
-from ..trajectory import BIAS, POSE, Bases, MotionState, Places, Trajectory
+from ..layout import BorderLayout, Status
+from ..parameters import ImuParameters, RigParameters
+from ..trajectory import BIAS, MARGIN_S, POSE, Bases, KnotGrid, MotionState, Places, Trajectory
 from .assembly import TRIAD, Columns
-from .inertial_data import (
-    ForceJacobian,
-    InertialData,
-    InertialNoise,
-    TriadData,
-    accelerometer_places,
-    at_origin,
-    at_places,
-    jacobian_by_imu_rotation,
-    motion_of_imu,
-    on_grid,
-    origin_places,
-    some_readings,
-    specific_force,
-)
+from .inertial_rows import InertialRows
+
+KNOTS_PER_PERIOD = 4.5
+DEFAULT_PER_S = 50.0
+LARGEST_SHARE = 0.5
+"""Knots per IMU sample that the IMU supports at most."""
+
+_PREFERRED_SHARE = 1 / 3
+_WINDOW_S = 2.56
+_EXCESS = 0.03
+"""Share of the noise that motion above the limit may add."""
 
 _DRAWN = 128  # spans whose signs are drawn together
 
-_Columns = dict[str, Callable[[], Floats]]
-"""Block of an IMU -> its columns (n, 3, k)."""
+
+@value_class
+class TriadData:
+    """Readings of one triad.
+
+    Attributes
+    ----------
+    values : (n, 3) [m/s^2 or rad/s]
+    used : (n,) bool, False where masked
+    """
+
+    values: Floats
+    used: np.ndarray
+
+
+@value_class
+class InertialData:
+    """Readings of one IMU that share their timestamps.
+
+    Attributes
+    ----------
+    imu : index of the IMU
+    t_s : (n,) [s], ascending
+    gyroscope, accelerometer : readings; None where the triad has other timestamps
+    """
+
+    imu: int
+    t_s: Floats
+    gyroscope: TriadData | None
+    accelerometer: TriadData | None
+
+
+def triad_readings(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
+    """Yield timestamps (n,) [s] and readings (n, 3) of every triad."""
+    for data in inertial:
+        for triad in (data.gyroscope, data.accelerometer):
+            if triad is not None:
+                yield data.t_s, triad.values
+
+
+@value_class
+class InertialNoise:
+    """Standard deviation of a single reading of gyroscope [rad/s] and accelerometer [m/s^2]."""
+
+    gyroscope: float
+    accelerometer: float
+
+
+@value_class
+class ImuBeforehand:
+    """What is known of an IMU's recording before anything is estimated.
+
+    Attributes
+    ----------
+    name : such as "imu0"
+    origin_ns : timestamp at which its seconds start, of its own clock [ns]
+    rates_hz : sample rates of gyroscope and accelerometer
+    nominal : noise as it was stated, or as consumer sensors have it
+    stated : whether it was stated
+    """
+
+    name: str
+    origin_ns: int
+    rates_hz: tuple[float, float]
+    nominal: ImuNoise
+    stated: bool
+
+    @property
+    def noise(self) -> InertialNoise:
+        """Standard deviation of single readings."""
+        gyroscope, accelerometer = np.sqrt(self.rates_hz)
+        return InertialNoise(
+            gyroscope=self.nominal.gyroscope_noise_density * gyroscope,
+            accelerometer=self.nominal.accelerometer_noise_density * accelerometer,
+        )
+
+    @property
+    def walks(self) -> tuple[float, float]:
+        """Random walk of the biases of gyroscope [rad/s/sqrt(s)] and accelerometer [m/s^2/sqrt(s)]."""
+        return self.nominal.gyroscope_random_walk, self.nominal.accelerometer_random_walk
+
+
+def body_clock_times(data: InertialData, imu: ImuParameters) -> Floats:
+    """Return when the readings were taken, on the body's clock, (n,) [s].
+
+    Readings of both triads are where the gyroscope is; `split_triads` comes first where the accelerometer has a shift.
+    """
+    shift_s = imu.shift_s(accelerometer=data.gyroscope is None)
+    return data.t_s + shift_s if shift_s else data.t_s
+
+
+def split_triads(data: InertialData) -> tuple[InertialData, ...]:
+    """Return the readings of gyroscope and accelerometer one by one."""
+    if data.gyroscope is None or data.accelerometer is None:
+        return (data,)
+    return replace(data, accelerometer=None), replace(data, gyroscope=None)
+
+
+def on_grid(grid: KnotGrid, data: InertialData, imu: ImuParameters) -> tuple[InertialData, Places]:
+    """Return those readings that lie on a grid, and where."""
+    places = grid.places(body_clock_times(data, imu))
+    keep = places.inside
+    return some_readings(data, keep), places.some(keep)
+
+
+def within_trajectory(grid: KnotGrid, data: InertialData, imu: ImuParameters, margin_s: float) -> InertialData:
+    """Return those readings that stay in their segment of a grid while the clock moves by no more than a margin."""
+    at = body_clock_times(data, imu)
+    places = [grid.places(at + step) for step in (-margin_s, margin_s)]
+    same = places[0].segment == places[1].segment
+    return some_readings(data, places[0].inside & places[1].inside & same)
+
+
+def on_trajectory(
+    data: InertialData, parameters: RigParameters, status: Mapping[str, Status], grid: KnotGrid
+) -> Iterator[InertialData]:
+    """Yield readings, of clocks that are estimated those that stay on the trajectory while it comes out where.
+
+    Were readings to enter and to leave it at its ends, the cost of two steps could not be compared.
+    """
+    imu = parameters.imus[data.imu]
+    delayed = imu.accelerometer_shift_s != 0 or status[f"imu{data.imu}.accelerometer_shift"] != "fixed"
+    for one in split_triads(data) if delayed else (data,):
+        moves = data.imu > 0 or (delayed and one.gyroscope is None)
+        yield within_trajectory(grid, one, imu, MARGIN_S / 2) if moves else one
+
+
+def some_readings(data: InertialData, which: np.ndarray | slice) -> InertialData:
+    """Return some of the readings."""
+
+    def of(triad: TriadData | None) -> TriadData | None:
+        return None if triad is None else TriadData(values=triad.values[which], used=triad.used[which])
+
+    return InertialData(
+        imu=data.imu, t_s=data.t_s[which], gyroscope=of(data.gyroscope), accelerometer=of(data.accelerometer)
+    )
+
+
+def predict_imu(
+    imu: ImuParameters, motion: MotionState, force: Floats, biases: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return what gyroscope [rad/s] and accelerometer [m/s^2] read, (n, 3) each, by the model of chapter 4.
+
+    Parameters
+    ----------
+    motion, force : of the body, in the axes of the IMU
+    biases : (n, 3) of gyroscope and accelerometer
+    """
+    at_origin, at_sensors = force, force
+    if imu.places.any() or imu.p_imu_body.any():
+        A = acceleration_by_place(motion.omega, motion.alpha)
+        at_sensors = force + along_axes(A, imu.accelerometer_places)
+        if imu.p_imu_body.any():
+            at_origin = force + along_axes(A, imu.origin_places)
+    gyroscope = motion.omega @ imu.gyroscope_sensitivity.T + at_origin @ imu.B_g.T + biases[0]
+    return gyroscope, at_sensors @ imu.accelerometer_sensitivity.T + biases[1]
+
+
+def predicted_readings(trajectory: Trajectory, parameters: RigParameters, data: InertialData) -> tuple[Floats, Floats]:
+    """Return what gyroscope and accelerometer should read at the timestamps of some readings, (n, 3) each.
+
+    Of a triad that does not have these timestamps they mean nothing; outside of the trajectory they are nan.
+    """
+    imu = parameters.imus[data.imu]
+    whole = np.full((2, len(data.t_s), 3), np.nan)
+    for which in (0, 1) if imu.accelerometer_shift_s and data.gyroscope is not None else (None,):
+        t_s = body_clock_times(data, imu) + (imu.accelerometer_shift_s if which == 1 else 0.0)
+        places = trajectory.grid.places(t_s)
+        inside = places.inside
+        places = places.some(inside)
+        motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+        motion = motion if imu.is_body else motion.turned(imu.R_imu_body)
+        found = predict_imu(imu, motion, motion.specific_force(parameters.gravity), trajectory.bias(places, data.imu))
+        for kind in (0, 1) if which is None else (which,):
+            whole[kind, inside] = found[kind]
+    return whole[0], whole[1]
+
+
+def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -> float:
+    """Return the knots per second for the motion in an IMU's signals.
+
+    Parameters
+    ----------
+    signals : timestamps (n,) [s] and readings (n, 3) of each triad
+    rate_hz : sample rate that supports the knots; that of the slowest signal where it is not given
+    """
+    rates = [1 / float(np.median(steps[steps > 0])) for steps in (np.diff(t_s) for t_s, _ in signals)]
+    highest = max(motion_limit_hz(t_s, values, rate) for (t_s, values), rate in zip(signals, rates, strict=True))
+    rate = rate_hz or min(rates)  # the slower triad must not be followed into its noise
+    wanted = max(KNOTS_PER_PERIOD * highest, min(DEFAULT_PER_S, _PREFERRED_SHARE * rate))
+    return float(np.clip(5 * np.ceil(wanted / 5 - 1e-9), 5.0, LARGEST_SHARE * rate))
+
+
+def motion_limit_hz(t_s: Floats, values: Floats, rate_hz: float) -> float:
+    """Return the frequency above which a signal (n, 3) holds no more than its noise [Hz]."""
+    frequency, power = power_spectrum(t_s, values, rate_hz)
+    floor = float(np.median(power[len(power) * 3 // 4 :]))
+    excess = np.cumsum((power - floor)[::-1])[::-1]
+    beyond = np.flatnonzero(excess > _EXCESS * floor * len(power))
+    return float(frequency[min(beyond[-1] + 1, len(frequency) - 1)]) if len(beyond) else 0.0
+
+
+def power_spectrum(t_s: Floats, values: Floats, rate_hz: float) -> tuple[Floats, Floats]:
+    """Return frequencies (f,) [Hz] and the mean power spectral density (f,) of the three axes [unit^2/Hz]."""
+    uniform = np.arange(t_s[0], t_s[-1], 1 / rate_hz)
+    signal = np.stack([np.interp(uniform, t_s, values[:, i]) for i in range(3)], axis=1)
+    size = max(16, min(len(signal), 2 ** round(np.log2(_WINDOW_S * rate_hz))))
+    starts = np.arange(0, max(len(signal) - size, 0) + 1, size // 2)
+    window = np.hanning(size)[:, None]
+    power = np.zeros(size // 2 + 1)
+    for start in starts:
+        part = signal[start : start + size]
+        if len(part) < size:
+            break
+        trend = np.linspace(0, 1, size)[:, None]
+        part = part - part[:1] - trend * (part[-1:] - part[:1])
+        part = part - part.mean(axis=0)
+        power += (np.abs(np.fft.rfft(part * window, axis=0)) ** 2).mean(axis=1)
+    power *= 2 / (rate_hz * float((window**2).sum()) * max(len(starts), 1))
+    return np.asarray(np.fft.rfftfreq(size, 1 / rate_hz)[1:], dtype=np.float64), power[1:]
 
 
 class InertialTerms:
@@ -111,13 +332,16 @@ class InertialTerms:
             rows, chi2 = library.inertial_rows(self._readings(part), self.columns.width)
             self._count(chi2)
             return rows
-        places, data = self._places.some(part), some_readings(self.data, part)
-        triads = [(kind, triad) for kind, triad in enumerate((data.gyroscope, data.accelerometer)) if triad is not None]
-        rows = self._rows(places, data)
+        at = InertialRows(self._trajectory, self._parameters, self.data.imu, self.columns, self._places.some(part))
+        triads = self._weighed(some_readings(self.data, part))
+        rows = at.filled(triads)
+        self._count(at.chi2)
         if self._signs is not None:
-            for number, (kind, triad) in enumerate(triads):
+            for number, kind in enumerate(kind for kind, triad in enumerate(triads) if triad is not None):
                 own = slice(TRIAD * number, TRIAD * (number + 1))
-                rows[:, own, self.columns.side + 1 + kind] = self._signs[part, own] * triad.used[:, None]
+                used = (self.data.gyroscope, self.data.accelerometer)[kind]
+                assert used is not None
+                rows[:, own, self.columns.side + 1 + kind] = self._signs[part, own] * used.used[part, None]
         return rows
 
     def add_to(self, band: library.Band) -> Floats | None:
@@ -131,39 +355,12 @@ class InertialTerms:
     def _count(self, chi2: Floats) -> None:
         self._chi2 = [before + more for before, more in zip(self._chi2, chi2.tolist(), strict=True)]
 
-    def _rows(self, places: Places, data: InertialData) -> Floats:
-        trajectory, index, imu = self._trajectory, self.data.imu, self._imu
-        bases = Bases.at(places, trajectory.grid)
-        motion = motion_of_imu(trajectory, places, bases, imu) if index else trajectory.motion(places, bases)
-        at = _Readings(
-            places=places,
-            bases=bases,
-            motion=motion,
-            force=specific_force(motion, self._parameters.gravity),
-            A=acceleration_by_place(motion.omega, motion.alpha) if self._has_places else None,
-        )
-        biases = trajectory.bias(places, index)
-        rows = np.zeros((len(places.u), self.height, self.columns.width))
-        begin = 0
-        for kind, triad in enumerate((data.gyroscope, data.accelerometer)):
-            if triad is not None:
-                fill = (self._fill_gyroscope, self._fill_accelerometer)[kind]
-                fill(rows[:, begin : begin + TRIAD], at, biases[kind], triad)
-                begin += TRIAD
-        return rows
-
     def _readings(self, part: slice) -> library.Readings:
         """Return some readings as the compiled kernel takes them."""
         places, data = self._places.some(part), some_readings(self.data, part)
         trajectory, grid, own = self._trajectory, self._trajectory.grid, self.columns.own
         found = (own.get(name, own.get(f"imu{self.data.imu}.{name}")) for name in library.BLOCKS[:-1])
-        gyroscope, accelerometer = (
-            None if triad is None else (triad.values, triad.used / sigma)
-            for triad, sigma in (
-                (data.gyroscope, self._noise.gyroscope),
-                (data.accelerometer, self._noise.accelerometer),
-            )
-        )
+        gyroscope, accelerometer = self._weighed(data)
         return library.Readings(
             places=(places.first, places.u, places.segment),
             references=grid.references(),
@@ -179,162 +376,25 @@ class InertialTerms:
             signs=None if self._signs is None else self._signs[part],
         )
 
+    def _weighed(self, data: InertialData) -> list[tuple[Floats, Floats] | None]:
+        """Return readings (n, 3) and weights (n,) of gyroscope and accelerometer, of those that have these times."""
+        sigmas = (self._noise.gyroscope, self._noise.accelerometer)
+        return [
+            None if triad is None else (triad.values, triad.used / sigma)
+            for triad, sigma in zip((data.gyroscope, data.accelerometer), sigmas, strict=True)
+        ]
+
     def _packed(self) -> Floats:
         """Return what the kernel needs of the IMU and of gravity, in its order (Imu in kernel.c)."""
         imu, gravity = self._imu, self._parameters
         parts = (
             *(imu.gyroscope_sensitivity, imu.B_g, imu.C_bg, imu.S_g, LOWER.matrix(imu.M_g)),
             *(imu.accelerometer_sensitivity, imu.S_a, LOWER.matrix(imu.M_a), imu.R_imu_body),
-            *(origin_places(imu), accelerometer_places(imu), imu.places_by_arms, gravity.gravity),
+            *(imu.origin_places, imu.accelerometer_places, imu.places_by_arms, gravity.gravity),
             *(-gravity.gravity_m_s2 * gravity.gravity_plane, -gravity.gravity_direction),
         )
         return np.concatenate([np.ravel(part) for part in parts])
 
-    @property
-    def _has_places(self) -> bool:
-        """Whether it matters, or shall be seen, where the sensors are."""
-        imu = self._imu
-        return bool(imu.places.any() or imu.p_imu_body.any()) or self._has("lever_arms", "T_imu_body.translation")
-
-    def _has(self, *blocks: str) -> bool:
-        """Tell whether any of the blocks of this IMU has columns."""
-        return any(f"imu{self.data.imu}.{block}" in self.columns.own for block in blocks)
-
     def chi2(self) -> tuple[float, float]:
         """Return the sum of squared whitened residuals of gyroscope and accelerometer that `rows` has met so far."""
         return self._chi2[0], self._chi2[1]
-
-    def _fill_gyroscope(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
-        imu, motion, places = self._imu, at.motion, origin_places(self._imu)
-        K, B = imu.gyroscope_sensitivity, imu.B_g
-        weight = triad.used / self._noise.gyroscope
-        force, by = at.force, ForceJacobian(phi=K @ motion.omega_by_phi, rate=K @ motion.phi_jacobian)
-        if self._has("B_g") or B.any():  # the specific force acts on it
-            force, by_force = at.felt(places)
-            by = by.plus(by_force.scaled(B))
-        residual = motion.omega @ K.T + force @ B.T + bias - triad.values
-        turned = motion.omega @ imu.C_bg
-        S, M = DIAGONAL.matrix(imu.S_g), LOWER.matrix(imu.M_g)
-        own: _Columns = {
-            "S_g": lambda: DIAGONAL.product_jacobian(turned @ M.T),
-            "M_g": lambda: S @ LOWER.product_jacobian(turned),
-            "q_bg": lambda: (S @ M) @ skew(turned),
-            "B_g": lambda: FULL.product_jacobian(force),
-            "T_imu_body.rotation": lambda: (
-                (B @ jacobian_by_imu_rotation(motion, at.force, places) - K @ skew(motion.omega)) @ imu.R_imu_body
-            ),
-            "T_imu_body.translation": lambda: -B @ at.required_A,
-            "time_shift": lambda: self._by_time(at, by, kind=0),
-        }
-        self._fill_local(rows, at, by, residual, weight, kind=0)
-        self._fill_border(rows, own, by.acceleration, weight)
-
-    def _fill_accelerometer(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
-        imu, motion, places = self._imu, at.motion, accelerometer_places(self._imu)
-        K = imu.accelerometer_sensitivity
-        weight = triad.used / self._noise.accelerometer
-        felt, by_felt = at.felt(places)
-        by = by_felt.scaled(K)
-        residual = felt @ K.T + bias - triad.values
-        S, M = DIAGONAL.matrix(imu.S_a), LOWER.matrix(imu.M_a)
-        own: _Columns = {
-            "S_a": lambda: DIAGONAL.product_jacobian(felt @ M.T),
-            "M_a": lambda: S @ LOWER.product_jacobian(felt),
-            "lever_arms": lambda: K @ np.einsum("nkj,kjm->nkm", at.required_A, imu.places_by_arms),
-            "T_imu_body.rotation": lambda: K @ jacobian_by_imu_rotation(motion, at.force, places) @ imu.R_imu_body,
-            "T_imu_body.translation": lambda: -K @ at.required_A,
-            "time_shift": lambda: self._by_time(at, by, kind=1),
-            "accelerometer_shift": lambda: self._by_time(at, by, kind=1),
-        }
-        self._fill_local(rows, at, by, residual, weight, kind=1)
-        self._fill_border(rows, own, by.acceleration, weight)
-
-    def _by_time(self, at: "_Readings", by: ForceJacobian, *, kind: int) -> Floats:
-        """Return the derivative of the residual by time, (n, 3, 1)."""
-        motion, jerk = at.motion, self._trajectory.jerk(at.places)
-        found = np.zeros((len(jerk), TRIAD, 1))
-        for matrix, rate in (
-            (by.phi, motion.phi_rate),
-            (by.rate, motion.phi_acceleration),
-            (by.phi_acceleration, jerk[:, :3]),
-            (by.acceleration, jerk[:, 3:]),
-        ):
-            if matrix is not None:
-                found += matrix @ rate[:, :, None]
-        found[:, :, 0] += self._trajectory.bias_rate(at.places, self.data.imu)[kind]
-        return found
-
-    def _fill_local(
-        self,
-        rows: Floats,
-        at: "_Readings",
-        by: ForceJacobian,
-        residual: Floats,
-        weight: Floats,
-        *,
-        kind: int,
-    ) -> None:
-        """Fill in the columns of pose, bias and right-hand sides; `kind` is 0 for the gyroscope, 1 for the other."""
-        n, columns = len(weight), self.columns
-        weighted = weight[:, None]
-        pose = rows[:, :, : columns.pose].reshape(n, TRIAD, columns.order, POSE)  # a view
-        bases = [(basis * weighted)[:, None, :, None] for basis in (at.bases.value, at.bases.rate)]
-        np.multiply(bases[0], by.phi[:, :, None, :], out=pose[..., :3])
-        if by.rate is not None:
-            pose[..., :3] += bases[1] * by.rate[:, :, None, :]
-        if by.acceleration is not None:
-            basis = (at.bases.acceleration * weighted)[:, None, :, None]
-            np.multiply(basis, by.acceleration[:, :, None, :], out=pose[..., 3:])
-            if by.phi_acceleration is not None:
-                pose[..., :3] += basis * by.phi_acceleration[:, :, None, :]
-        for knot, share in enumerate((1 - at.places.u, at.places.u)):
-            start = columns.bias(knot).start + TRIAD * kind
-            for i in range(TRIAD):
-                rows[:, i, start + i] = share * weight
-        whitened = residual * weighted
-        self._chi2[kind] += float(np.vdot(whitened, whitened))
-        rows[:, :, columns.side] = -whitened
-
-    def _fill_border(self, rows: Floats, own: _Columns, by_acceleration: Floats | None, weight: Floats) -> None:
-        """Fill in the border columns: those of the triad's own parameters, and gravity's."""
-        parameters = self._parameters
-        blocks = {f"imu{self.data.imu}.{name}": derivative for name, derivative in own.items()}
-        if by_acceleration is not None:
-            g, plane, direction = parameters.gravity_m_s2, parameters.gravity_plane, parameters.gravity_direction
-            blocks["gravity.direction"] = lambda: by_acceleration @ (-g * plane)
-            blocks["gravity.magnitude"] = lambda: by_acceleration @ -direction[:, None]
-        for name, derivative in blocks.items():
-            at = self.columns.own.get(name)
-            if at is not None:
-                np.multiply(derivative(), weight[:, None, None], out=rows[:, :, at])
-
-
-@value_class
-class _Readings:
-    """What is the same for both triads at some timestamps, in the IMU's axes.
-
-    Attributes
-    ----------
-    places, bases : on the trajectory
-    motion, force : of the body, and the specific force at its origin
-    A : (n, 3, 3) [alpha]x + [omega]x^2; None where all sensors are at the body's origin
-    """
-
-    places: Places
-    bases: Bases
-    motion: MotionState
-    force: Floats
-    A: Floats | None
-
-    @property
-    def required_A(self) -> Floats:
-        """[alpha]x + [omega]x^2, (n, 3, 3), where something is away from the body's origin."""
-        assert self.A is not None
-        return self.A
-
-    def felt(self, places: Floats) -> tuple[Floats, ForceJacobian]:
-        """Return component k of the specific force at places (3, 3), a row each, (n, 3), and its derivatives."""
-        if not places.any():
-            return self.force, at_origin(self.motion, self.force)
-        felt = self.force + along_axes(self.required_A, places)
-        return felt, at_places(self.motion, self.force, places)
