@@ -1,33 +1,22 @@
-"""Along which directions the parts of a calibration are known well or badly, and how to say that in motions.
+"""How to say in motions along which directions the parts of a calibration are known well or badly.
 
 A part is what one kind of motion determines: where a camera sits, how a gyroscope answers to rotations about an axis,
 how an accelerometer answers to forces along one. Its directions are the principal axes of its covariance.
 """
 
-from collections.abc import Iterator, Mapping
-from math import ceil, isfinite, sqrt
+from math import ceil, isfinite
 from typing import Literal
 
 import numpy as np
 
 from ..frozen import value_class
 from ..recording import Floats, Integers
-from ..results.parameters import calibration_parameters, covariance_names
-from ..results.sensors import CameraCalibration, ImuCalibration
 
 Kind = Literal["rotation", "translation", "time_shift", "gyroscope", "g_sensitivity", "accelerometer"]
 
 _CAMERA_AXES = ("x axis (right)", "y axis (down)", "optical axis")
 _IMU_AXES = ("x axis", "y axis", "z axis")
-_VECTORS: tuple[Kind, Kind] = ("rotation", "translation")
-_SHIFTS = {"T_cam_imu": "time_shift_cam_imu", "T_imu_body": "time_shift_imu"}
-"""Name of a pose -> that of the time shift of the same sensor."""
 
-_IMU_MATRICES: dict[Kind, str] = {
-    "gyroscope": "gyroscope.sensitivity",
-    "g_sensitivity": "gyroscope.g_sensitivity",
-    "accelerometer": "accelerometer.sensitivity",
-}
 _ALONG = 0.9
 """Cosine from which on a direction is called by the name of an axis."""
 
@@ -69,121 +58,6 @@ class Part:
     def of_camera(self) -> bool:
         """Whether it is a camera's."""
         return not self.sensor.startswith("imu")
-
-
-@value_class
-class Relative:
-    """Scalars of a calibration in SI units, of sensors relative to the size of their sensitivity.
-
-    Attributes
-    ----------
-    names : (n,) as in `Covariance.names`
-    covariance : (n, n)
-    """
-
-    names: tuple[str, ...]
-    covariance: Floats
-
-
-def relative_covariance(
-    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], covariance: Floats
-) -> Relative:
-    """Return the covariance (n, n) of sensors and cameras, whatever the unit of their measurements.
-
-    A row of a sensitivity becomes relative to its length, a bias that of specific force [m/s^2], angular rate [rad/s]
-    or field, and the g-sensitivity that of a gyroscope in rad/s.
-    """
-    names = covariance_names(imus, cameras)
-    factor = np.ones(len(names))
-    start = 0
-    for path, value in calibration_parameters(imus, cameras):
-        sensor, _, rest = path.partition(".")
-        triad, _, parameter = rest.partition(".")
-        if sensor in imus and parameter in ("sensitivity", "bias", "g_sensitivity"):
-            matrix = getattr(imus[sensor], triad).sensitivity
-            by_row = 1 / np.linalg.norm(matrix, axis=1)
-            factor[start : start + value.size] = np.repeat(by_row, value.size // 3)
-        start += value.size
-    return Relative(names=names, covariance=covariance * np.outer(factor, factor))
-
-
-def estimated_parts(names: tuple[str, ...], covariance: Floats, R_sensor_body: Mapping[str, Floats]) -> Iterator[Part]:
-    """Yield the parts of which anything was estimated.
-
-    Parameters
-    ----------
-    names : (n,) scalars as in `Covariance.names`
-    covariance : (n, n), of matrices relative to the size of their rows
-    R_sensor_body : of cameras, and of IMUs beside the body, "cam0" -> (3, 3)
-    """
-    column = {name: i for i, name in enumerate(names)}
-    for sensor, R in R_sensor_body.items():
-        of_imu = sensor.startswith("imu")
-        link = "T_imu_body" if of_imu else "T_cam_imu"
-        for kind in _VECTORS:
-            index = _index(column, [f"{sensor}.{link}.{kind}[{k}]" for k in range(3)])
-            if index is not None and covariance[index, index].any():
-                # the rotation's perturbation is in the body's axes, the translation in those of the sensor
-                turn = np.eye(3)
-                if of_imu != (kind == "rotation"):
-                    turn = R.T if of_imu else R
-                yield _vector_part(kind, sensor, index, covariance, turn)
-        shift = column.get(f"{sensor}.{_SHIFTS[link]}")
-        if shift is not None and covariance[shift, shift] > 0:
-            yield Part(
-                kind="time_shift",
-                sensor=sensor,
-                index=np.array([shift]),
-                axes=np.eye(3),
-                sigma=np.full(3, sqrt(covariance[shift, shift])),
-                places=np.ones((3, 1)),
-            )
-    for sensor in dict.fromkeys(name.partition(".")[0] for name in names if name.startswith("imu")):
-        for kind, path in _IMU_MATRICES.items():
-            index = _index(column, [f"{sensor}.{path}[{i},{j}]" for i in range(3) for j in range(3)])
-            if index is not None and covariance[index, index].any():
-                bias = _index(column, [f"{sensor}.accelerometer.bias[{i}]" for i in range(3)])
-                yield _matrix_part(kind, sensor, index, covariance, bias if kind == "accelerometer" else None)
-
-
-def _index(column: Mapping[str, int], wanted: list[str]) -> Integers | None:
-    return np.array([column[name] for name in wanted]) if all(name in column for name in wanted) else None
-
-
-def _vector_part(kind: Kind, sensor: str, index: Integers, covariance: Floats, turn: Floats) -> Part:
-    own = turn @ covariance[np.ix_(index, index)] @ turn.T
-    variance, axes = np.linalg.eigh(own)
-    axes = axes[:, ::-1]
-    sigma = np.sqrt(np.maximum(variance[::-1], 0.0))
-    return Part(kind=kind, sensor=sensor, index=index, axes=axes, sigma=sigma, places=axes.T @ turn)
-
-
-def _matrix_part(kind: Kind, sensor: str, index: Integers, covariance: Floats, bias: Integers | None) -> Part:
-    """Return the part of a matrix: a direction e is as badly known as the matrix' answer to it, over all rows."""
-    own = covariance[np.ix_(index, index)].reshape(3, 3, 3, 3)
-    variance, axes = np.linalg.eigh(np.einsum("iaib->ab", own))
-    axes = axes[:, ::-1]
-    places: list[Floats] = []
-    for e in axes.T:
-        rows = np.linalg.eigh(np.einsum("iajb,a,b->ij", own, e, e))[1][:, -1]
-        places.append(np.outer(rows, e).ravel())
-    correlation = 0.0
-    if bias is not None:
-        answer = np.kron(np.eye(3), axes[:, 0])  # of each row to the worst direction
-        joint = answer @ covariance[np.ix_(index, bias)]
-        size = np.sqrt(np.einsum("ij,jk,ik->i", answer, covariance[np.ix_(index, index)], answer))
-        spread = size * np.sqrt(covariance[bias, bias])
-        worst = int(np.argmax(size))
-        correlation = float(joint[worst, worst] / spread[worst]) if spread[worst] > 0 else 0.0
-    return Part(
-        kind=kind,
-        sensor=sensor,
-        index=index,
-        axes=axes,
-        sigma=np.sqrt(np.maximum(variance[::-1], 0.0)),
-        places=np.array(places),
-        bias_correlation=correlation,
-    )
 
 
 def axis_words(direction: Floats, *, of_camera: bool) -> str:
@@ -318,3 +192,82 @@ def imu_axis(direction: Floats, R_cam_imu: Floats | None) -> str:
 def trades_with_bias(part: Part) -> bool:
     """Return whether an accelerometer's scale cannot be told from its bias: it was tilted too little."""
     return abs(part.bias_correlation) > _TRADES
+
+
+OF_A_POSE: tuple[Kind, ...] = ("rotation", "translation", "time_shift")
+
+
+def weak_subject(part: Part, *, several: bool) -> tuple[str, bool]:
+    """Return what is hardly determined, and whether it is a plural; of `several` IMUs which one's it is."""
+    whose = f" of {part.sensor}" if several else ""
+    if part.kind in ("rotation", "translation"):
+        return _pose_subject(part), False
+    if part.kind == "time_shift":
+        return f"The time shift of {part.sensor}", False
+    if part.kind == "g_sensitivity":
+        return f"The g-sensitivity of the gyroscope{whose}", False
+    if trades_with_bias(part):
+        axis = axis_words(part.axes[:, 0], of_camera=False).replace(" axis", "")
+        return f"The {axis} scale of the accelerometer{whose}", False
+    return f"The scales and axes of the {part.kind}{whose}", True
+
+
+def _pose_subject(part: Part) -> str:
+    """Return which part of a pose is hardly determined."""
+    worst, count, of_camera = part.axes[:, 0], badly_known(part), part.of_camera
+    subject = f"The {part.kind} of {part.sensor} against {'the IMU' if of_camera else 'imu0'}"
+    if count == 3:
+        return subject
+    if part.kind == "rotation":
+        return f"{subject} about {'the camera' if of_camera else 'imu0'}'s {axis_words(worst, of_camera=of_camera)}"
+    two = across_words(part.axes[:, 2], of_camera=of_camera)
+    return f"{subject} along {_its(part)} {two if count == 2 else axis_words(worst, of_camera=of_camera)}"
+
+
+def _its(part: Part) -> str:
+    """Return whose axes the directions of a pose are named by."""
+    return "its" if part.of_camera else "imu0's"
+
+
+def size_words(part: Part) -> str:
+    """Return the sigma of the worst direction with its unit."""
+    sigma = float(part.sigma[0])
+    if part.kind == "rotation":
+        return f"{np.degrees(sigma):.2g} deg"
+    if part.kind == "translation":
+        return f"{1e3 * sigma:.3g} mm"
+    if part.kind == "time_shift":
+        return f"{1e3 * sigma:.2g} ms"
+    return f"{sigma:.2g} rad/s per m/s^2" if part.kind == "g_sensitivity" else f"{100 * sigma:.2g} %"
+
+
+def why_weak(part: Part, limit: float, duration_s: float, R_cam_imu: Floats | None) -> str:
+    """Return why the worst direction of a part is not known to `limit`; arguments as of `motion_advice`."""
+    seconds, as_before = seconds_more(part, limit, duration_s)
+    if as_before and duration_text(seconds):
+        return "the recording is short"
+    if part.kind in OF_A_POSE:
+        return _pose_reason(part)
+    return _imu_reason(part, R_cam_imu)
+
+
+def _pose_reason(part: Part) -> str:
+    if part.kind == "time_shift":
+        return "the rig turned and moved too little, or too slowly"
+    if not one_direction(part):
+        return f"the rig hardly {'turned' if part.kind == 'translation' else 'moved'}"
+    across = f"{_its(part)} {across_words(part.axes[:, 0], of_camera=part.of_camera)}"
+    if part.kind == "translation":
+        return f"rotation about {across} is missing"
+    return f"rotation about {across}, and acceleration along them, are missing"
+
+
+def _imu_reason(part: Part, R_cam_imu: Floats | None) -> str:
+    count, axis = badly_known(part), imu_axis(part.axes[:, 0], R_cam_imu)
+    if part.kind == "gyroscope":
+        only = imu_axis(part.axes[:, 2], R_cam_imu)
+        words = {1: f"rotation about the {axis} is missing", 2: f"it turned about one axis only, the {only}"}
+        return words.get(count, "it hardly turned")
+    if trades_with_bias(part):
+        return "it trades with its bias, since it was hardly tilted"
+    return f"the force {'that it felt' if count == 3 else f'along the {axis}'} hardly changed"

@@ -21,10 +21,9 @@ from ..recording import Floats
 from ..results.calibration import Assessment, Calibration
 from ..results.trust import Need
 from .changes import change_findings, without_changes
-from .directions import Kind, Part, duration_text, estimated_parts, motion_advice, one_direction, relative_covariance
-from .observability import LIMITS
+from .directions import Kind, Part, duration_text, motion_advice, one_direction
+from .observability import LIMITS, PLACES_AND_CLOCKS, estimated_parts, relative_covariance
 from .verdict import grade_value, merge_by_cause, verdict_of, with_verdict
-from .weak_findings import PLACES_AND_CLOCKS
 
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
 """Findings of the general verdict on standard deviations, in whose place those on a stated use stand."""

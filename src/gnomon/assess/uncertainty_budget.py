@@ -13,9 +13,9 @@ import numpy as np
 
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
+from ..recording import Floats
 from ..results.calibration import Calibration
 from ..results.parameters import element_units
-from .priors import gravity_part
 
 COVERAGE_FACTOR = 2.0
 """Of the expanded uncertainty; about 95 %."""
@@ -169,3 +169,15 @@ def _of_the_recording(calibration: Calibration, index: int, unit: str, rest: flo
         else:
             yield source("independent noise", independent)
         yield source("errors that last", rest - independent)
+
+
+def gravity_part(calibration: Calibration) -> Floats:
+    """Return the part of the covariance (n, n) that an error of gravity makes, of an IMU calibrated by it."""
+    by_gravity = np.zeros(len(calibration.uncertainty.names))
+    name = next(iter(calibration.imus))
+    for i, scalar in enumerate(calibration.uncertainty.names):
+        path, _, element = scalar.partition("[")
+        if path in (f"{name}.accelerometer.sensitivity", f"{name}.gyroscope.g_sensitivity"):
+            entry = tuple(map(int, element.rstrip("]").split(",")))
+            by_gravity[i] = -calibration.parameter(path)[entry] / calibration.gravity.value
+    return calibration.gravity.sigma**2 * np.outer(by_gravity, by_gravity)

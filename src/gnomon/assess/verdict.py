@@ -357,3 +357,8 @@ def gravity_findings(gravity: Gravity) -> list[Finding]:
             "gravity/assumed", gravity=gravity.value, sigma=gravity.sigma, source=gravity.source, relative=relative
         )
     ]
+
+
+def comparison_left_out(what: str, reason: str) -> Finding:
+    """Say that something could not be estimated that would only have been compared with the result."""
+    return make_finding("comparison-left-out", what=what, reason=reason)

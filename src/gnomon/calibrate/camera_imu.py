@@ -10,29 +10,21 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..assess.cameras.added_parts import added_findings, delays_found, misfits_found, out_of_order, steps_left_out
 from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
-from ..assess.cameras.camera_imu_verdict import assess_camera_imu
+from ..assess.cameras.camera_imu_verdict import assess_camera_imu, camera_imu_weak
 from ..assess.cameras.camera_views import without_copies
+from ..assess.cameras.rig_residuals import judged_again, unmodelled_effects
 from ..assess.changes import with_changes
-from ..assess.checks.early_findings import judged_again, unmodelled_effects
-from ..assess.checks.temperature_checks import check_thermometers
+from ..assess.checks.temperature_checks import check_temperature
 from ..assess.needs import with_precision
-from ..assess.priors import Priors, refuse_own_data
+from ..assess.priors import Priors, prior_used, refuse_own_data
 from ..assess.verdict import (
     model_incomplete,
     parts_disagree,
     time_shift_varies,
     uncertainty_summary,
     underestimated_blocks,
-)
-from ..assess.weak_findings import (
-    added_findings,
-    camera_imu_weak,
-    delays_found,
-    misfits_found,
-    out_of_order,
-    prior_used,
-    steps_left_out,
 )
 from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.choices import estimation_choices
@@ -133,7 +125,8 @@ def _calibrated(  # noqa: PLR0917
     """Calibrate; where biases follow the temperature, once more without what they do, which was told before."""
     tell("checking the recording")
     given, stated, options = recording, options, with_free_landmarks(options, target)
-    refuse_own_data(prior, recording.sources)
+    if prior:
+        refuse_own_data(prior, recording.sources)
     recording = with_stated_shutters(recording, options)
     recording, copied = without_copies(recording)
     prepared = prepare_camera_imu(recording, target, options)
@@ -141,8 +134,13 @@ def _calibrated(  # noqa: PLR0917
         prepared = without_slopes(prepared, recording, told)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
-    used = [finding for one in known for finding in prior_used(one)]
-    warmth = check_thermometers(recording.imus)
+    used = [finding for one in known if one is not None for finding in prior_used(one)]
+    warmth = [
+        finding
+        for name, imu in recording.imus.items()
+        if imu.temperature is not None
+        for finding in check_temperature(imu.temperature, f"{name} thermometer")
+    ]
     prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *warmth))
     tell("finding the camera's poses, the time shift and its axes")
     rig = _align(recording, target, prepared)
@@ -272,7 +270,9 @@ def _assess(
             options=stated_options(replace(stated, compare=False), [fit.recording]),  # what is drawn changes no number
         ),
     )
-    calibration = with_changes(with_precision(calibration), trust)
+    calibration = with_precision(calibration)
+    if trust.changes:
+        calibration = with_changes(calibration, trust)
     return Result(calibration=slopes.added_to(calibration) if slopes else calibration, diagnostics=diagnostics)
 
 

@@ -14,8 +14,7 @@ from ..assess.cameras.cameras_tables import CamerasFitSummary, LensOpinion, desc
 from ..assess.cameras.cameras_verdict import assess_cameras
 from ..assess.changes import with_changes
 from ..assess.checks.camera_checks import check_views
-from ..assess.verdict import uncertainty_summary
-from ..assess.weak_findings import comparison_left_out
+from ..assess.verdict import comparison_left_out, uncertainty_summary
 from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.first_rig import held_out_residuals
 from ..estimate.cameras.rig import RigViews, gathered_views

@@ -10,12 +10,13 @@ from functools import partial
 import numpy as np
 
 from ..assess.changes import with_changes
-from ..assess.imu.axes_changed import axes_changed_findings
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
-from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
-from ..assess.weak_findings import comparison_left_out, imu_weak, prior_findings
-from ..detect.samples.rests import RestDetection, ThresholdTrial
+from ..assess.imu.recording_changes import axes_changed_findings
+from ..assess.observability import imu_weak
+from ..assess.priors import Prior, Priors, gather_prior, prior_findings, refuse_own_data
+from ..assess.verdict import comparison_left_out
+from ..detect.samples.rests import FEWEST_INTERVALS, RestDetection, ThresholdTrial
 from ..detect.samples.static_intervals import accelerometer_course, disturbed_intervals
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
@@ -44,18 +45,19 @@ from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..results.result import Booleans, Result, interval_means
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .steps.imu_model import choose_model, refuse_evidence, with_fixed
+from .steps.imu_model import choose_model, is_evidence_stated, refuse_evidence, with_fixed
 from .steps.preparation import (
+    LEFT_TO_RESTS,
     PreparedImu,
     check_arguments,
     imu_calibration,
-    in_stated_frame,
     local_gravity,
     prepare_imu,
+    recording_gaps,
     stated_options,
     weighted_stream,
 )
-from .steps.protocol import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, left_to_rests
+from .steps.stated_frame import in_stated_frame
 from .steps.temperature_while_turned import BiasPolynomials, bias_polynomials, temperature_powers
 
 _LAGS = 3
@@ -101,19 +103,20 @@ def calibrate_imu(
 
             return calibrate_several(recording, options, tell, prior, calibrate_imu)
         (recording,) = recording
-    refuse_own_data(prior, recording.sources)
+    if prior:
+        refuse_own_data(prior, recording.sources)
     with one_blas_thread():
         return _calibrated(recording, options, progress, prior)
 
 
 def _calibrated(recording: Recording, options: ImuOptions, progress: Progress | None, prior: Priors) -> Result:
     tell = progress or (lambda _: None)
-    if by_rests(recording, options):
+    if _is_of_rests_alone(recording, options):
         return _by_rests(recording, options, progress, prior)
     tell("checking the recording")
     tolerated = LEFT_TO_RESTS if options.preset == "gnomon" else frozenset[str]()
     prepared = prepare_imu(recording, options, tolerated=tolerated)
-    if tolerated and left_to_rests(prepared):
+    if tolerated and _is_left_to_rests(prepared):
         return _by_rests(recording, options, progress, prior, prepared)
     if options.preset != "gnomon":
         from .published.tedaldi import calibrate_as_published
@@ -124,9 +127,11 @@ def _calibrated(recording: Recording, options: ImuOptions, progress: Progress | 
     tell("finding static intervals")
     detection = _static_intervals(prepared, options)
     readings = _readings(prepared, detection.chosen, options)
-    if np.sum(readings.problem.data.linked) < FEWEST_ROTATIONS:
+    if np.sum(readings.problem.data.linked) < _FEWEST_ROTATIONS:
         return _by_rests(recording, options, progress, prior, prepared)
-    known = gather_prior(prior, options, prepared.units, free=options.free, gravity=gravity)
+    known = None
+    if is_evidence_stated(options, prior):
+        known = gather_prior(prior, options, prepared.units, free=options.free, gravity=gravity)
     tell(f"fitting {len(readings.problem.data.accelerometer)} static intervals and the rotations between them")
     fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
     for _ in range(_LAGS):  # with a lag that is not undone, a curve in the temperature is none in what is read
@@ -208,7 +213,7 @@ def _fit(
     detection: RestDetection,
     readings: _Readings,
     *,
-    known: Prior,
+    known: Prior | None,
     gravity: Gravity,
     options: ImuOptions,
 ) -> ImuFitSummary:
@@ -224,7 +229,9 @@ def _fit(
         course=None if readings.touched.any() else readings.course,
     )
     estimate = _in_units(model.fit, problem, gravity, options)
-    slopes = bias_polynomials(model.fit, problem, readings.reference_degc, readings.lag_s)
+    slopes = None
+    if readings.reference_degc is not None:
+        slopes = bias_polynomials(model.fit, problem, readings.reference_degc, readings.lag_s)
     imu = imu_calibration(estimate, prepared)
     names = covariance_names({"imu0": imu if slopes is None else replace(imu, temperature=slopes.found)})
     trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, slopes, gravity=gravity, options=options)
@@ -257,7 +264,7 @@ def _assess(
     prepared: PreparedImu,
     fit: ImuFitSummary,
     *,
-    known: Prior,
+    known: Prior | None,
     gravity: Gravity,
     options: ImuOptions,
 ) -> Result:
@@ -273,9 +280,11 @@ def _assess(
         assessment=assess_imu(findings, fit, diagnostics, gravity),
         provenance=Provenance(method="imu", inputs=recording.sources, options=stated_options(options, [recording])),
     )
-    calibration = with_changes(calibration, fit.trust)
-    rests = diagnostics.intervals
-    calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
+    if fit.trust.changes:
+        calibration = with_changes(calibration, fit.trust)
+    if options.frame != calibration.frame:
+        rests = diagnostics.intervals
+        calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 
@@ -374,7 +383,7 @@ def _trusted(
     return trust, np.sqrt(np.diag(from_unseen))
 
 
-def _agreement(fit: ImuFitSummary, known: Prior, gravity: Gravity, options: ImuOptions) -> list[Finding]:
+def _agreement(fit: ImuFitSummary, known: Prior | None, gravity: Gravity, options: ImuOptions) -> list[Finding]:
     """Say what was known beforehand, and whether this recording on its own agrees."""
     if not known or not estimates_are_judged():
         return []
@@ -393,3 +402,35 @@ def _known_walk(recording: Recording, problem: MultiPositionProblem) -> Floats |
     if samples.noise is None or factor is None:
         return None
     return (samples.noise.gyroscope_random_walk / factor / problem.gyroscope.spread) ** 2
+
+
+_FEWEST_ROTATIONS = 3
+"""With fewer rotations that the gyroscope measured whole, it is judged by its rests."""
+
+
+def _is_of_rests_alone(recording: Recording, options: ImuOptions) -> bool:
+    """Tell whether a recording is calibrated from its rests alone: its content or an option says so."""
+    if recording.poses is not None or recording.pieces or options.preset == "angrisano" or options.model == "static":
+        return True
+    return bool(recording.imus) and not len(next(iter(recording.imus.values())).gyroscope)
+
+
+def _is_left_to_rests(prepared: PreparedImu) -> bool:
+    """Tell whether a recording is a static experiment: few rests, or the time between them was cut out.
+
+    Raises
+    ------
+    DetectionError
+        If the gyroscope shows only noise although the rotations were recorded.
+    """
+    problems = {f.code: f for f in prepared.findings if f.severity == "problem" and f.code in LEFT_TO_RESTS}
+    silent = problems.get("gyroscope-silent")
+    if silent is not None:
+        from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
+
+        if np.sum(recording_gaps(prepared.accelerometer)) < FEWEST_POSES - 1:
+            raise DetectionError(str(silent))
+    rests = prepared.rests
+    return bool(problems) or (
+        rests is not None and max(len(trial.intervals) for trial in rests.trials) <= FEWEST_INTERVALS
+    )

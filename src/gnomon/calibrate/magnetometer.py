@@ -9,7 +9,7 @@ import numpy as np
 
 from ..assess.changes import with_changes
 from ..assess.checks.doctor import check_field_samples
-from ..assess.checks.temperature_checks import check_thermometers
+from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
@@ -102,7 +102,8 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
     assert imu.magnetometer is not None
     findings = _checked(imu.magnetometer, f"{name} magnetometer")
     findings += [make_finding("assumed", text=sentence) for sentence in recording.assumptions]
-    findings += [one for one in check_thermometers({name: imu}) if one.severity != "good"]
+    if imu.temperature is not None:
+        findings += [one for one in check_temperature(imu.temperature, f"{name} thermometer") if one.severity != "good"]
     magnetometer = repair_samples(imu.magnetometer)
     accelerometer, more = _usable_accelerometer(imu.accelerometer, f"{name} accelerometer")
     origin = int(magnetometer.t_ns[0])

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..assess.checks.protocol import find_imu_rests
 from ..assess.needs import judge_for_use, needs_of_use
-from ..assess.observability import HELD, known_of, weak_directions
+from ..assess.observability import HELD, known_of, weak_directions, weak_findings
 from ..assess.verdict import with_verdict
-from ..assess.weak_findings import weak_findings
 from ..detect.samples.rests import Rests
 from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem

@@ -10,8 +10,7 @@ import numpy as np
 from ..assess.changes import with_changes
 from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_poses
 from ..assess.imu.poses_verdict import assess_poses
-from ..assess.priors import NOTHING, Prior, Priors, gather_prior
-from ..assess.weak_findings import prior_findings, prior_used, pulled_findings
+from ..assess.priors import NOTHING, Prior, Priors, gather_prior, prior_findings, prior_used, pulled_findings
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
 from ..estimate.triads.pose_drift import PoseDrift, PoseStep, count_rival_step, fit_with_drift
@@ -40,7 +39,8 @@ from .published.angrisano import calibrate_poses_as_published
 from .steps.imu_model import refuse_evidence
 from .steps.pose_gyroscope import fit_gyroscope_at_rest
 from .steps.pose_preparation import PreparedPoses, prepare_poses
-from .steps.preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
+from .steps.preparation import PreparedImu, local_gravity, stated_options
+from .steps.stated_frame import in_stated_frame
 
 _FEWEST_DETERMINED = 9
 _APART_RAD = np.radians(10.0)

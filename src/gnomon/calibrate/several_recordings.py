@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..assess.imu.joined_recordings import Scalars, joined_assessment, quantities_of, refuse_other_sensors
-from ..assess.priors import Priors, gravity_part
+from ..assess.priors import Priors
+from ..assess.uncertainty_budget import gravity_part
 from ..errors import GnomonError, OptionError, RecordingError
 from ..estimate.trust.between_recordings import join_estimates
 from ..options import ImuOptions

@@ -8,8 +8,7 @@ import pytest
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.assess.comparison.candidates import ComparisonCandidate
 from gnomon.assess.comparison.comparing import compare_candidates
-from gnomon.assess.observability import known_of, weak_directions
-from gnomon.assess.weak_findings import weak_findings
+from gnomon.assess.observability import known_of, weak_directions, weak_findings
 from gnomon.geometry.rotation_vector import invert_matrix, rotation_from_rotvec
 from gnomon.results.calibration import Covariance, Provenance
 

@@ -7,8 +7,7 @@ import pytest
 
 from gnomon import CameraImuOptions, ImuOptions, Recording, calibrate_camera_imu, calibrate_imu, simulate_camera_imu
 from gnomon import simulate as simulated
-from gnomon.assess.priors import NAMES, TRIADS, gather_prior
-from gnomon.assess.weak_findings import prior_findings
+from gnomon.assess.priors import NAMES, TRIADS, gather_prior, prior_findings
 from gnomon.calibrate.steps.camera_imu_preparation import evidence_of_imu, known_imu
 from gnomon.errors import OptionError
 from gnomon.models.frames import frame_rotation

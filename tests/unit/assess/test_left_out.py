@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.protocol import left_out_rests_findings, significant_cluster
+from gnomon.assess.checks.protocol import left_out_rests_findings
+from gnomon.assess.imu.recording_changes import significant_cluster
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.imu.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, unit_findings
+from gnomon.assess.imu.imu_verdict import unit_findings
+from gnomon.assess.imu.poses_verdict import redundancy_findings, relative_sigmas, scatter_findings
 from gnomon.assess.verdict import grade_value
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.triads.triad_poses import TriadPoses

@@ -9,8 +9,7 @@ import pytest
 
 from camera_imu_result import make_camera_imu_result
 from gnomon import save_noise
-from gnomon.assess.priors import gravity_part
-from gnomon.assess.uncertainty_budget import uncertainty_budget
+from gnomon.assess.uncertainty_budget import gravity_part, uncertainty_budget
 from gnomon.cli import main
 from gnomon.cli.command import CertificateFacts
 from gnomon.cli.inputs import result_with_reading

@@ -1,6 +1,8 @@
 """Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
 
+from collections.abc import Sequence
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,14 +10,21 @@ from ...estimate.camera_imu.choices import LADDER
 from ...estimate.camera_imu.start.first_guess import imu_stream
 from ...findings import Finding, list_first, make_finding
 from ...geometry.rotation_vector import rotvec_from_rotation
+from ...options.requirements import GENERAL_RIG
+from ...recording import Floats
 from ...results.calibration import Assessment, CameraImuFit
-from ...results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
+from ...results.camera_diagnostics import CameraImuDiagnostics, EstimatedParameter, NoiseLevel
+from ...results.trust import WeakDirection
 from ..checks.clock_drift import check_drift
 from ..directions import across_words, axis_words
+from ..observability import PLACES_AND_CLOCKS, known_of, weak_directions, weak_findings
 from ..verdict import grade_by_limits, gravity_findings, most_severe, with_verdict
-from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
 from .camera_imu_tables import MISFIT, NO_BOARD, NOTHING, CameraImuFitSummary
 from .rig_residuals import cut_findings, residual_findings
+
+if TYPE_CHECKING:
+    from ...estimate.camera_imu.result.publish import PublishedRig
+    from ...estimate.camera_imu.result.uncertainty import Uncertainty
 
 _HELD = 0.3
 """Share of its weak prior's sigma from which on a parameter counts as not determined by the recording."""
@@ -346,3 +355,83 @@ def _clocks(evidence: CameraImuFitSummary) -> list[Finding]:
         for look, entry in zip(evidence.looks, entries, strict=True)
         for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
     ]
+
+
+_PUBLISHED = {
+    "S_a": "accelerometer.sensitivity",
+    "M_a": "accelerometer.sensitivity",
+    "S_g": "gyroscope.sensitivity",
+    "M_g": "gyroscope.sensitivity",
+    "q_bg": "gyroscope.sensitivity",
+    "B_g": "gyroscope.g_sensitivity",
+    "time_shift": "time_shift_imu",
+    "accelerometer_shift": "accelerometer.time_shift",
+}
+"""Block of the estimation -> what of it is published."""
+
+
+_USUAL_FOCAL_ERROR = 3e-3
+"""Focal lengths of usual camera calibrations are off by so much: 0.5 to 0.8 % were found in those of EuRoC."""
+
+
+_MATTERS = 2.0
+
+
+def camera_imu_weak(
+    published: "PublishedRig", found: "Uncertainty", parameters: Sequence[EstimatedParameter], duration_s: float
+) -> tuple[WeakDirection, ...]:
+    """Return the weak directions of cameras and IMU.
+
+    Parameters
+    ----------
+    published : sensors and their covariance, of which that for independent errors tells what is determined
+    found : what held intrinsics would do
+    parameters : scalars of the estimation, whose status tells what was stated beforehand
+    duration_s : of the recording
+    """
+    stated: dict[str, float] = {}
+    for parameter in parameters:
+        if parameter.status == "prior":
+            sensor, _, rest = parameter.name.partition(".")
+            block, bracket, place = rest.partition("[")
+            path = _PUBLISHED.get(block)
+            name = f"{sensor}.{path}" if path else f"{sensor}.{block}{bracket}{place}"
+            stated[name] = parameter.prior_sigma
+    known = known_of(published.imus, published.cameras, published.covariance, stated=stated, duration_s=duration_s)
+    followed: list[WeakDirection] = []
+    for name, camera in published.cameras.items():
+        held = found.held.get(f"{name}.intrinsics")
+        place = [known.names.index(f"{name}.T_cam_imu.translation[{k}]") for k in range(3)]
+        focal = camera.camera.intrinsics[-4:-2]
+        if held is None or len(held.names) < len(camera.camera.intrinsics):
+            continue  # estimated jointly, at least in part
+        moved = published.jacobian[place] @ held.by_unit[-4:-2].T @ focal * _USUAL_FOCAL_ERROR
+        sigma = np.sqrt(np.diag(published.covariance)[place])
+        one = through_stated_focal(name, moved, sigma)
+        followed += [] if one is None else [one]
+    return (*weak_directions(known), *followed)
+
+
+def through_stated_focal(camera: str, moved: Floats, sigma: Floats) -> WeakDirection | None:
+    """Return the direction that is known only as well as the focal length that was stated, where that matters.
+
+    Parameters
+    ----------
+    camera : its name
+    moved : (3,) change of its translation by a usual error of the focal length [m]
+    sigma : (3,) published standard deviations of the translation [m]
+    """
+    size = float(np.linalg.norm(moved))
+    along = moved / max(size, 1e-300)
+    if size < GENERAL_RIG.needs["camera_translation"] or size < _MATTERS * float(np.linalg.norm(along * sigma)):
+        return None
+    order = np.argsort(-np.abs(along))
+    return WeakDirection(
+        shares=tuple((f"{camera}.T_cam_imu.translation[{i}]", float(along[i])) for i in order),
+        determined=1.0,
+        words=f"The translation of {camera} along its {axis_words(along, of_camera=True)} is known only through the "
+        f"focal length that was stated: an error of {100 * _USUAL_FOCAL_ERROR:.1f} % moves it by {1e3 * size:.2g} mm, "
+        "which its standard deviation does not hold.",
+        cure=f"Come nearer to the board, or let the lens be estimated jointly: --prior {camera}.intrinsics=5.",
+        held=False,
+    )

@@ -14,7 +14,7 @@ from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, 
 from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
 from .signals import axis_extremes, check_exchanged, check_signal, check_stamps, check_vibration
-from .temperature_checks import check_thermometers
+from .temperature_checks import check_temperature
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
 _STEEP = 7.0  # that change from sample to sample, in units of the noise
@@ -233,7 +233,10 @@ def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding
     if recording.pieces or recording.poses is not None:
         return tuple(_check_poses(recording))
     findings = [finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests)]
-    return (*findings, *check_thermometers(recording.imus))
+    for name, imu in recording.imus.items():
+        if imu.temperature is not None:
+            findings += check_temperature(imu.temperature, f"{name} thermometer")
+    return tuple(findings)
 
 
 def _check_poses(recording: Recording) -> list[Finding]:

@@ -10,15 +10,13 @@ from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.rests import RangeChange, RestDetection, Rests, detect_rests
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
-from ...results.result import Booleans, StaticIntervals, interval_means
+from ...results.result import StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .signals import is_silent
 
 TELLS_RESTS = ("attitudes", "always-static", "intervals-left-out")
 _LISTED = 6  # runs of rests with one reason
 _MANY = 0.1  # of the rests
-_FEWEST = 3  # rests behind each other
-_CHANCE = 0.05  # that rests left out independently of each other lie as close together
 
 
 def left_out_rests_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], label: str = "") -> list[Finding]:
@@ -53,32 +51,6 @@ def left_out_rests_findings(start_s: Floats, stop_s: Floats, reason: Sequence[st
             listed="; ".join(listed),
         )
     ]
-
-
-def significant_cluster(out: Booleans) -> tuple[int, int] | None:
-    """Return the first rest and the last one of those left out behind each other; None where chance explains them.
-
-    Of the stretches that hold three or more, and more left out than used, the one that is least likely where as many
-    are left out independently: the hypergeometric probability, times the places where it may begin.
-
-    Parameters
-    ----------
-    out : (n,) rests that do not agree with the others
-    """
-    at = np.flatnonzero(out)
-    if len(at) < _FEWEST:
-        return None
-    from scipy.stats import hypergeom  # slow to load, and rarely needed
-
-    least, found = _CHANCE, None
-    for k, first in enumerate(at):
-        for held, last in enumerate(at[k + _FEWEST - 1 :], start=_FEWEST):
-            length = last - first + 1
-            places = len(out) - length + 1
-            chance = places * float(hypergeom.sf(held - 1, len(out), len(at), length))
-            if 2 * held > length and chance < least:
-                least, found = chance, (int(first), int(last))
-    return found
 
 
 _APART_DEG = 10.0

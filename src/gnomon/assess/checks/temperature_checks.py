@@ -1,13 +1,12 @@
 """The doctor's look at the thermometer: what it tells, whether its unit is plausible, and the warm-up over."""
 
-from collections.abc import Mapping
 from math import log
 
 import numpy as np
 
 from ...findings import Finding, make_finding
 from ...options.requirements import USES, USUAL_SLOPE, Use
-from ...recording import Floats, ImuSamples, TemperatureSamples, smallest_steps
+from ...recording import Floats, TemperatureSamples, smallest_steps
 
 CHIP_DEGC = (-60.0, 130.0)
 """Temperatures at which a chip may work."""
@@ -21,24 +20,16 @@ _RATIOS = (0.02, 0.9)
 _PARTS = 300
 
 
-def check_thermometers(imus: Mapping[str, ImuSamples]) -> list[Finding]:
-    """Return findings on the thermometers of IMUs, of those that have one."""
-    return [
-        finding
-        for name, imu in imus.items()
-        if imu.temperature is not None and len(imu.temperature) > 1
-        for finding in check_temperature(imu.temperature, f"{name} thermometer")
-    ]
-
-
 def check_temperature(samples: TemperatureSamples, label: str) -> list[Finding]:
-    """Return findings on the thermometer of an IMU.
+    """Return findings on the thermometer of an IMU; nothing of fewer than two readings.
 
     Parameters
     ----------
-    samples : at least two
+    samples : its readings
     label : such as "imu0 thermometer", for messages
     """
+    if len(samples) < 2:
+        return []
     celsius = samples.celsius()
     if celsius is None:
         return [make_finding("temperature/counts", label=label)]

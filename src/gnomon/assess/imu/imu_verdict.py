@@ -1,6 +1,7 @@
 """Verdict and advice on an IMU calibration: what to trust, what to do next."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..checks.protocol import left_out_rests_findings as rests_left_out
+from ..observability import weak_findings
 from ..priors import NAMES, TRIADS
 from ..verdict import (
     bias_findings,
@@ -25,10 +28,8 @@ from ..verdict import (
     uncertainty_summary,
     with_verdict,
 )
-from ..weak_findings import weak_findings
-from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ACROSS_STEP, ImuFitSummary, interval_numbers
-from .triad_verdict import ATTITUDES, attitude_words, entry_sigmas, mean_scale, scale_and_angle, unit_findings
+from .recording_changes import changes_in_model, drift_findings, step_findings
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
 _REST_S = 2.0
@@ -344,3 +345,52 @@ def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
         held = float(diagnostics.intervals.stop_s[0] - diagnostics.intervals.start_s[0])
         return [make_finding("t-init/short", held=held)]
     return [make_finding("t-init/unknown", t_init_s=allan.t_init_s, static_s=allan.static_s)]
+
+
+_UNIT_FACTOR = 1.5
+
+
+ATTITUDES = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+"""Axes that point up, or down, or halfway, (26, 3)."""
+
+
+def attitude_words(attitude: Floats) -> str:
+    """Name one of `ATTITUDES`, such as "x up and z down (tilted halfway)"."""
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip("xyz", attitude, strict=True) if value]
+    return " and ".join(ups) + (" (tilted halfway)" if len(ups) > 1 else "")
+
+
+def mean_scale(sensitivity: Floats) -> float:
+    """Return the geometric mean of the scales of a sensitivity (3, 3)."""
+    return float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3)
+
+
+def entry_sigmas(sensitivity: Floats, covariance: Floats) -> Floats:
+    """Return the sigmas of the entries of a sensitivity relative to its rows, (3, 3), from their covariance (9, 9)."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(3, 3)
+    return sigma / np.linalg.norm(sensitivity, axis=1)[:, None]
+
+
+def scale_and_angle(sigma: Floats) -> tuple[float, float]:
+    """Return the largest relative sigma of the scales, on the diagonal of (3, 3), and of the angles beside it."""
+    return float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
+
+
+def unit_findings(triad: Literal["accelerometer", "gyroscope"], sensitivity: Floats, unit: str) -> list[Finding]:
+    """Warn where one scale is far from the others, or all from what the unit says, which counts say nothing of."""
+    table = ACCELEROMETER_UNITS_M_S2 if triad == "accelerometer" else GYROSCOPE_UNITS_RAD_S
+    nominal = table.get(unit)
+    scales = np.linalg.norm(sensitivity, axis=1)
+    usual = float(np.median(scales))
+    odd = int(np.argmax(np.abs(np.log(scales / usual))))
+    if not 1 / _UNIT_FACTOR < scales[odd] / usual < _UNIT_FACTOR:
+        return [make_finding("unit/axis", triad=triad, axis="xyz"[odd], ratio=scales[odd] / usual)]
+    ratio = mean_scale(sensitivity) * (nominal or np.nan)
+    if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
+        return []
+    others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
+    by_rate = triad == "gyroscope" and not others
+    fits = f" Its values look like {others[0]}." if others else ""
+    if by_rate:
+        fits = f" So they would be if the sample rate were {ratio:.3g} times what the timestamps say."
+    return [make_finding("unit/far", triad=triad, ratio=ratio, unit=unit, fits=fits, case="rate" if by_rate else "")]

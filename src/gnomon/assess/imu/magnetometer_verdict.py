@@ -7,12 +7,11 @@ from ...findings import Finding, Severity, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
 from ...units import MAGNETOMETER_UNITS_UT
-from ..priors import NAMES, TRIADS, Prior
+from ..priors import NAMES, TRIADS, Prior, prior_findings
 from ..verdict import bias_findings, grade_by_limits, parts_disagree, uncertainty_summary, with_verdict
-from ..weak_findings import prior_findings
-from .imu_verdict import convergence_findings
+from .imu_verdict import convergence_findings, entry_sigmas, mean_scale, scale_and_angle
 from .magnetometer_tables import FieldFitSummary, FieldOutliers, field_outliers
-from .triad_verdict import entry_sigmas, held_names, mean_scale, scale_and_angle
+from .poses_verdict import held_names
 
 _MAGNETOMETER_HANDEDNESS_SIGNIFICANT = 4.0  # sigmas
 _LEAST_DIP_DEG = 3.0

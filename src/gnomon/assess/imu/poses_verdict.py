@@ -1,29 +1,40 @@
-"""Verdict and advice on a calibration from rests: what to trust, what to do next."""
+"""Verdict and advice on a calibration from rests: what to trust, what to do next.
+
+Also what it shares with those on turntables and magnetometers, the other calibrations from known magnitudes.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
 from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift, PoseStep
 from ...estimate.triads.triad_poses import B_, S_
+from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ...results.parameters import element_names
+from ...results.result import Booleans
 from ...results.sensor_diagnostics import PoseTable, TriadDiagnostics
-from ..verdict import grade_by_limits, gravity_findings, most_severe, uncertainty_summary, with_verdict
-from .imu_tables import root_mean_square
-from .pose_tables import PoseFitSummary, RestingGyroscope, gyroscope_findings
-from .triad_verdict import (
-    ATTITUDES,
-    attitude_words,
-    held_names,
-    redundancy_findings,
-    relative_sigmas,
-    scale_and_angle,
-    scatter_findings,
-    triad_trust_findings,
-    unit_findings,
+from ..priors import NAMES, TRIADS
+from ..verdict import (
+    bias_findings,
+    grade_by_limits,
+    gravity_findings,
+    model_incomplete,
+    most_severe,
+    parts_disagree,
+    uncertainty_summary,
+    with_verdict,
 )
+from .imu_tables import root_mean_square
+from .imu_verdict import ATTITUDES, attitude_words, entry_sigmas, mean_scale, scale_and_angle, unit_findings
+from .pose_tables import PoseFitSummary, RestingGyroscope, gyroscope_findings
+
+if TYPE_CHECKING:
+    from ...estimate.triads.triad import TriadFit
 
 _AXES = "xyz"
 _DETERMINED = 9  # attitudes
@@ -295,3 +306,85 @@ def _iteration_finding(fit: AngrisanoFit) -> Finding:
         iterations=fit.iterations,
         end=ends[fit.status],
     )
+
+
+_BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
+
+
+_SCATTER_WARN = 2e-3  # of the magnitude
+
+
+_FEW_REDUNDANT = 3
+
+
+def held_names(triad: str, held: Booleans) -> tuple[str, ...]:
+    """Return the paths of those scalars of a triad that only an assumption holds."""
+    return tuple(name for name, flag in zip(NAMES[TRIADS[triad]], held, strict=True) if flag)
+
+
+def relative_sigmas(fit: "TriadFit", covariance: Floats | None = None) -> Floats:
+    """Return the sigmas of the sensitivity's entries relative to its rows, (3, 3).
+
+    Where the common scale of all axes is unknown they are those at a given common scale, which is the cube root of the
+    determinant.
+
+    Parameters
+    ----------
+    fit : of one triad
+    covariance : (9, 9) of the sensitivity, where it is not that of the fit
+    """
+    given = fit.covariance[S_, S_] if covariance is None else covariance
+    if not fit.scale_known:
+        by_scale = np.linalg.inv(fit.sensitivity).T.ravel() / 3  # d log det^(1/3)
+        common = given @ by_scale
+        given = given - np.outer(common, common) / float(by_scale @ common)
+    return entry_sigmas(fit.sensitivity, given)
+
+
+def triad_trust_findings(trusts: Sequence["tuple[RobustCovariance, TriadFit]"]) -> list[Finding]:
+    """Say where errors are larger than independent ones, whether parts agree, and which biases changed."""
+    from ...estimate.triads.triad_trust import merge_trusts  # not of an IMU that was turned by hand
+
+    trust = merge_trusts([one.trust for one, _ in trusts])
+    findings = [*model_incomplete(trust), *parts_disagree(trust.splits)]
+    for one, fit in trusts:
+        scale = mean_scale(fit.sensitivity)
+        findings += bias_findings(one.instabilities, {found.block.split(".")[1]: scale for found in one.instabilities})
+    return findings
+
+
+def redundancy_findings(fit: "TriadFit") -> list[Finding]:
+    """Say that there are hardly more poses than unknowns; nothing else shows errors."""
+    if fit.degrees_of_freedom >= _FEW_REDUNDANT:
+        return []
+    return [
+        make_finding(
+            "few-redundant",
+            equations=int(fit.equations[fit.used].sum()),
+            unknowns=int(fit.free.sum()),
+            degrees_of_freedom=max(fit.degrees_of_freedom, 0),
+        )
+    ]
+
+
+def scatter_findings(fit: "TriadFit", noise_sigma: float, magnitude: float, unit: str) -> list[Finding]:
+    """Say that the residuals are larger than the noise at rest, and what that means.
+
+    Parameters
+    ----------
+    fit : of one triad
+    noise_sigma : typical sigma of a mean by the noise at rest [SI]
+    magnitude : typical magnitude [SI]
+    unit : of both
+    """
+    if not noise_sigma > 0 or fit.extra_sigma <= _BEYOND_NOISE * noise_sigma:
+        return []
+    return [
+        make_finding(
+            "beyond-noise/magnitude",
+            severity="warning" if fit.extra_sigma > _SCATTER_WARN * magnitude else "info",
+            extra_sigma=fit.extra_sigma,
+            unit=unit,
+            ratio=fit.extra_sigma / noise_sigma,
+        )
+    ]

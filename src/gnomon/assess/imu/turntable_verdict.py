@@ -20,15 +20,8 @@ from ..verdict import (
     uncertainty_summary,
     with_verdict,
 )
-from .imu_verdict import axis_findings, convergence_findings
-from .triad_verdict import (
-    held_names,
-    mean_scale,
-    redundancy_findings,
-    relative_sigmas,
-    scale_and_angle,
-    triad_trust_findings,
-)
+from .imu_verdict import axis_findings, convergence_findings, mean_scale, scale_and_angle
+from .poses_verdict import held_names, redundancy_findings, relative_sigmas, triad_trust_findings
 from .turntable_tables import TurntableFitSummary, holdout_rms, turntable_trusts
 
 _RATE_WORTH = 2e-4  # what a video gives

@@ -33,7 +33,8 @@ from ...results.calibration import (
 from ...results.result import Result
 from ...units import ACCELEROMETER_UNITS_M_S2
 from ..steps.pose_preparation import PreparedPoses
-from ..steps.preparation import in_stated_frame, stated_options
+from ..steps.preparation import stated_options
+from ..steps.stated_frame import in_stated_frame
 
 _ALONE = "Preset angrisano calibrates the accelerometer alone; the gyroscope's samples are not used."
 

@@ -16,8 +16,7 @@ from ...assess.imu.imu_tables import (
     uncalibrated_error,
     uncalibrated_rotation_error,
 )
-from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings
-from ...assess.imu.triad_verdict import unit_findings
+from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
 from ...assess.verdict import gravity_findings, with_verdict
 from ...detect.samples.static_intervals import resting_noise
 from ...estimate.multiposition.measurements import UPPER, MotionSegments
@@ -31,14 +30,8 @@ from ...recording import Recording
 from ...results.calibration import Assessment, Calibration, Covariance, Gravity, Holdout, Provenance, covariance_names
 from ...results.result import Result, interval_means
 from ...results.sensor_diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
-from ..steps.preparation import (
-    PreparedImu,
-    imu_calibration,
-    in_stated_frame,
-    local_gravity,
-    stated_options,
-    weighted_stream,
-)
+from ..steps.preparation import PreparedImu, imu_calibration, local_gravity, stated_options, weighted_stream
+from ..steps.stated_frame import in_stated_frame
 from .tedaldi_search import Search, Turned, fit_rotations, held_out_forces, search_threshold
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.imu.bias_steps import slope_finding
-from ...assess.weak_findings import comparison_left_out
+from ...assess.imu.recording_changes import slope_finding
+from ...assess.verdict import comparison_left_out
 from ...errors import OptionError, SolveError
 from ...estimate.camera_imu.batch import Measurements, RigState, with_tied_biases
 from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances
@@ -172,6 +172,7 @@ def _nearer(
     cameras = [_nearer_camera(entry, known.cameras.get(entry.name)) for entry in parameters.cameras]
     parameters = replace(parameters, cameras=tuple(cameras))
     found = evidence_of_imu(known, gravity, "imu0", first=True)
+    assert found is not None
     imu = imu_of(found)
     errors = {name: getattr(imu, name) for name in ("S_a", "M_a", "S_g", "M_g", "C_bg", "B_g")}
     parameters = replace(parameters, imus=(replace(parameters.imus[0], **errors),))

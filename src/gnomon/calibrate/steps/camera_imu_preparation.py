@@ -8,8 +8,7 @@ import numpy as np
 from ...assess.checks.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ...assess.checks.camera_checks import check_cameras
 from ...assess.checks.rig_checks import check_clock_changes, check_look, name_imu
-from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
-from ...assess.weak_findings import cameras_disagree
+from ...assess.priors import SCALARS, TRIADS, Prior, Priors, cameras_disagree, gather_prior
 from ...detect.samples.faults import held_samples, repair_samples, saturated_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
@@ -45,8 +44,8 @@ _Q_BG = slice(12, 15)  # among the 24 letters
 _HANGS_S = 0.25
 
 
-def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Prior:
-    """Return what other calibrations know of an IMU, in SI units; where it sits is not asked.
+def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Prior | None:
+    """Return what other calibrations know of an IMU, in SI units, None of nothing; where it sits is not asked.
 
     Parameters
     ----------
@@ -60,7 +59,7 @@ def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) 
     """
     given = () if prior is None else (prior,) if isinstance(prior, Calibration) else tuple(prior)
     own = [one if first else _alone(one, name) for one in given if first or name in one.imus]
-    return gather_prior(own, CameraImuOptions(), _SI, gravity=gravity)
+    return gather_prior(own, CameraImuOptions(), _SI, gravity=gravity) if own else None
 
 
 def _alone(calibration: Calibration, name: str) -> Calibration:
@@ -77,7 +76,7 @@ def _alone(calibration: Calibration, name: str) -> Calibration:
     )
 
 
-def known_imu(found: Prior) -> ImuParameters | None:
+def known_imu(found: Prior | None) -> ImuParameters | None:
     """Return the IMU as it is known beforehand, with the covariance of what is known; None without anything."""
     if not found:
         return None

@@ -29,7 +29,7 @@ _FIXED_SIGMA = 1e-7  # of what the scaled parameters move a scalar by: as good a
 
 
 def scaled_prior(
-    found: Prior, problem: MultiPositionProblem, *, gravity_m_s2: float, latitude_deg: float | None
+    found: Prior | None, problem: MultiPositionProblem, *, gravity_m_s2: float, latitude_deg: float | None
 ) -> Knowledge | None:
     """Return the prior on the scaled parameters, or None where nothing is known."""
     if not found:
@@ -55,8 +55,10 @@ def scaled_prior(
     return at
 
 
-def with_fixed(estimate: ImuEstimate, found: Prior) -> ImuEstimate:
+def with_fixed(estimate: ImuEstimate, found: Prior | None) -> ImuEstimate:
     """Return the estimate with what was held fixed exactly where it was held, and certain."""
+    if found is None:
+        return estimate
     held = np.flatnonzero(found.fixed[_OF_IMU])
     if not len(held):
         return estimate
@@ -74,6 +76,11 @@ def with_fixed(estimate: ImuEstimate, found: Prior) -> ImuEstimate:
     )
 
 
+def is_evidence_stated(options: ImuOptions, prior: Priors) -> bool:
+    """Return whether somebody states what is known beforehand, or what shall not be taken from it."""
+    return bool(prior or options.fix or options.free or options.prior)
+
+
 def refuse_evidence(options: ImuOptions, prior: Priors) -> None:
     """Refuse evidence for a published method, which knows no use of it.
 
@@ -82,7 +89,7 @@ def refuse_evidence(options: ImuOptions, prior: Priors) -> None:
     OptionError
         If there is any.
     """
-    if prior or options.fix or options.free or options.prior:
+    if is_evidence_stated(options, prior):
         raise OptionError(
             f"preset {options.preset} knows neither --prior nor --fix nor --free. "
             "Leave them out, or use the default preset."
@@ -113,7 +120,7 @@ class ChosenModel:
 def choose_model(
     problem: MultiPositionProblem,
     options: ImuOptions,
-    known: Prior,
+    known: Prior | None,
     *,
     units: dict[str, str],
     gravity_m_s2: float,
@@ -132,12 +139,12 @@ def choose_model(
             problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk, changes=changes
         )
 
-    if known.fixed[_G].all() and not known.value[_G].any():
+    if known and known.fixed[_G].all() and not known.value[_G].any():
         fit = fitted(g_sensitivity=False)
         heldout = leave_one_out(fit)
         return ChosenModel(fit=fit, heldout=heldout, rivals={"basic": heldout}, steps=())
     stated = {"basic": False, "g-sensitivity": True}.get(options.model)
-    if known.knows(_G_PATH) or _G_PATH in options.free:
+    if (known and known.knows(_G_PATH)) or _G_PATH in options.free:
         stated = stated is not False
     fit = fitted(g_sensitivity=True)
     judged = stated is None or estimates_are_judged()

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.imu.bias_steps import slope_finding
+from ...assess.imu.recording_changes import slope_finding
 from ...estimate.temperature.bias_course import FEWEST_FOR_COURSE, bias_course
 from ...estimate.triads.field_poses import FieldPoses
 from ...estimate.triads.magnetometer import MagnetometerFit, drift_over, drift_rows, field_windows

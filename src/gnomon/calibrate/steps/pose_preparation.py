@@ -18,11 +18,15 @@ from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
-from .preparation import PreparedImu, assumption_finding, check_and_detect, raise_first_problem
-from .protocol import GAP_NS, recording_gaps
-
-TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
-"""What the data doctor holds against a multi-position recording, and what does not matter here."""
+from .preparation import (
+    GAP_NS,
+    LEFT_TO_RESTS,
+    PreparedImu,
+    assumption_finding,
+    check_and_detect,
+    raise_first_problem,
+    recording_gaps,
+)
 
 _MULTIPLIER = 10.0
 _SHORTEST_S = 0.5
@@ -136,7 +140,7 @@ def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu 
         findings = (*noticed, *map(assumption_finding, recording.assumptions))
     else:
         findings, detection = checked.findings, checked.rests
-    raise_first_problem(findings, tolerated=TOLERATED)
+    raise_first_problem(findings, tolerated=LEFT_TO_RESTS)
     if detection is None:
         raise DetectionError(
             f"the recording of {samples.accelerometer.duration_s:.1f} s is too short for windows of "
@@ -170,7 +174,7 @@ def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu 
         stop_s=stop_s,
         left_out=left_out,
         rotations=_rotations(gyroscope, t_gyro, saturated_samples(gyroscope, options.gyroscope_range), at_rest),
-        findings=tuple(finding for finding in findings if finding.code not in {*TOLERATED, "intervals-left-out"}),
+        findings=tuple(finding for finding in findings if finding.code not in {*LEFT_TO_RESTS, "intervals-left-out"}),
     )
 
 
@@ -251,7 +255,7 @@ def _from_pieces(samples: ImuSamples, pieces: tuple[Piece, ...], options: ImuOpt
         for triad, name in zip(triads, ("accelerometer", "gyroscope"), strict=False)
         for f in check_signal(triad, name)
     ]
-    raise_first_problem(findings, tolerated=TOLERATED)
+    raise_first_problem(findings, tolerated=LEFT_TO_RESTS)
     _refuse_reversed(accelerometer.t_ns, pieces)
     clipped = saturated_samples(accelerometer, options.accelerometer_range)
     intervals, names, left_out = _rest_of_each(triads, clipped, pieces, options)

@@ -1,7 +1,6 @@
 """Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
 
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import combinations
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
+from ...assess.checks.temperature_checks import CHIP_DEGC
 from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
 from ...detect.samples.rests import RestDetection
 from ...detect.samples.static_intervals import resting_noise, rounding_variance
@@ -17,128 +17,20 @@ from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import ImuEstimate, TriadStream
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import nearest_rotation
 from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
 from ...recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples, shared_sources, smallest_steps
+from ...recording.thermometer import known_readings
 from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
-    Calibration,
-    Covariance,
     Gravity,
     GyroscopeCalibration,
     ImuCalibration,
-    calibration_parameters,
-    rotate_imu,
 )
 from ...results.result import Booleans, StaticIntervals
-from .temperature_while_turned import chip_temperature, rose_and_fell
-
-_POSE = re.compile(r"([xyz])=(-?)(\d+)")
-
-
-def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas: Floats) -> Calibration:
-    """Return the calibration in "accel-x", "accel-z", or the frame that poses such as "x=3 y=12 z=-7" define.
-
-    Parameters
-    ----------
-    calibration : in body frame accel-x
-    frame : as stated
-    rests : (n, 3) means of the accelerometer in the static intervals [unit]
-    sigmas : (n,) predicted sigma of |f| in each [m/s^2]
-
-    Raises
-    ------
-    OptionError
-        If the frame is neither, or a pose names no static interval of this recording.
-    """
-    if frame == "accel-x":
-        return calibration
-    if frame == "accel-z":
-        return calibration.in_frame(frame)
-    axes, rows = _poses(frame, len(rests))
-    imu = calibration.imus["imu0"]
-    means = rests[rows]
-    sigma = sigmas[rows]
-    flat = np.concatenate([value.ravel() for _, value in calibration_parameters({"imu0": imu})])
-
-    def moved(x: Floats) -> Floats:
-        """Parameters in the user's frame, from those in accel-x followed by the means of the poses."""
-        n = len(flat)
-        matrices = _unflattened(x[:n], imu)
-        up = _up(matrices[0], matrices[1], x[n:].reshape(-1, 3))
-        rotation = nearest_rotation(axes.T @ up)
-        turned = [(m @ rotation.T).ravel() if m.shape == (3, 3) else m.ravel() for m in matrices]
-        return np.concatenate(turned)
-
-    point = np.concatenate([flat, means.ravel()])
-    jacobian = _differences(moved, point)
-    noise = np.zeros((len(point), len(point)))
-    noise[: len(flat), : len(flat)] = calibration.uncertainty.matrix
-    by_force = imu.required_accelerometer.sensitivity @ imu.required_accelerometer.sensitivity.T
-    for k in range(len(rows)):
-        part = slice(len(flat) + 3 * k, len(flat) + 3 * k + 3)
-        noise[part, part] = by_force * sigma[k] ** 2
-    rotation = nearest_rotation(
-        axes.T @ _up(imu.required_accelerometer.sensitivity, imu.required_accelerometer.bias, means)
-    )
-    return replace(
-        calibration,
-        imus={"imu0": rotate_imu(imu, rotation)},
-        frame="user",
-        uncertainty=Covariance(names=calibration.uncertainty.names, matrix=jacobian @ noise @ jacobian.T),
-    )
-
-
-def _poses(text: str, intervals: int) -> tuple[Floats, list[int]]:
-    """Return the axes (k, 3) that pointed up, and the intervals' indices, of "x=3 y=12 z=-7"."""
-    words = text.replace(",", " ").split()
-    matches = [_POSE.fullmatch(word) for word in words]
-    if not words or not all(matches):
-        raise OptionError(
-            f'frame "{text}" is neither accel-x nor accel-z nor a list of poses such as "x=3 y=12 z=-7" '
-            "(static interval 3 with x up, 12 with y up, 7 with z down; numbers as in the report)."
-        )
-    axes = np.zeros((len(words), 3))
-    rows: list[int] = []
-    for k, match in enumerate(matches):
-        assert match is not None
-        axis, minus, number = match.groups()
-        if not 1 <= int(number) <= intervals:
-            raise OptionError(
-                f'frame "{text}": there is no static interval {number}; they are numbered 1 to {intervals}.'
-            )
-        axes[k, "xyz".index(axis)] = -1.0 if minus else 1.0
-        rows.append(int(number) - 1)
-    if np.linalg.matrix_rank(axes) < 2:
-        raise OptionError(f'frame "{text}": one axis leaves the turn about it open. Name poses of two or three axes.')
-    return axes, rows
-
-
-def _unflattened(x: Floats, imu: ImuCalibration) -> list[Floats]:
-    matrices: list[Floats] = []
-    start = 0
-    for _, value in calibration_parameters({"imu0": imu}):
-        matrices.append(x[start : start + value.size].reshape(value.shape))
-        start += value.size
-    return matrices
-
-
-def _up(sensitivity: Floats, bias: Floats, means: Floats) -> Floats:
-    force = (means - bias) @ np.linalg.inv(sensitivity).T
-    return force / np.linalg.norm(force, axis=1, keepdims=True)
-
-
-def _differences(function: Callable[[Floats], Floats], point: Floats) -> Floats:
-    """Return the Jacobian by central differences, with steps of 1e-6 of each number's own size."""
-    size = np.maximum(np.abs(point), 1e-3 * np.abs(point).max())
-    columns = [
-        (function(point + step) - function(point - step)) / (2 * step[k]) for k, step in enumerate(np.diag(1e-6 * size))
-    ]
-    return np.stack(columns, axis=1)
-
+from .temperature_while_turned import rose_and_fell
 
 _READ = {
     "calibrate_imu": 'gnomon.calibrate_imu(gnomon.read("recording.csv"))',
@@ -330,7 +222,7 @@ def _on_time_base(
             repair_samples(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
         )
         saturated = saturated_samples(accelerometer, options.accelerometer_range)
-    origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
+    origin, warmth = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0])), samples.temperature
     accelerometer_time = time_base(accelerometer, origin, options.time_base)
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
     gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
@@ -344,7 +236,7 @@ def _on_time_base(
         gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
-        temperature=samples.temperature if rose_and_fell(samples.temperature) else None,
+        temperature=None if warmth is None or not rose_and_fell(warmth) else warmth,
     )
 
 
@@ -408,3 +300,34 @@ def weighted_stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still
         rounding=rounding_variance(samples.values, still, step),
         intervals=still,
     )
+
+
+LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})
+"""What the data doctor holds against a multi-position recording, and what rests alone may do without."""
+
+
+GAP_NS = 500_000_000
+"""A longer step between two samples is a time that was not recorded."""
+
+
+_GAP_STEPS = 20
+
+
+def recording_gaps(samples: TriadSamples) -> Booleans:
+    """Return which steps from sample to sample are times that were not recorded, (n - 1,)."""
+    steps = np.diff(samples.t_ns)
+    return steps > max(GAP_NS, _GAP_STEPS * np.median(steps)) if len(steps) else np.empty(0, dtype=bool)
+
+
+def chip_temperature(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return mean and range of the first IMU's temperature [degC], as text of the provenance; nothing without one."""
+    imus = [next(iter(one.imus.values())) for one in recordings if one.imus]
+    read = [known_readings(imu.temperature) for imu in imus if imu.temperature is not None]
+    celsius = [one[1] for one in read if one is not None]
+    if not celsius or len(celsius) < len(recordings):
+        return {}
+    mean = float(np.mean([one.mean() for one in celsius]))
+    low, high = (float(pick([pick(one) for one in celsius])) for pick in (np.min, np.max))
+    if not CHIP_DEGC[0] <= mean <= CHIP_DEGC[1]:
+        return {}
+    return {"chip_degc": f"{mean:.2f}", "chip_range_degc": f"{low:.2f} to {high:.2f}"}

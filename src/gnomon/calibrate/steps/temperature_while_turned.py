@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.checks.temperature_checks import CHIP_DEGC
 from ...estimate.multiposition.bias_functions import temperature_columns
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...frozen import value_class
-from ...recording import Floats, Integers, Recording, TemperatureSamples
+from ...recording import Floats, Integers, TemperatureSamples
 from ...recording.thermometer import known_readings, temperature_course
 from ...results.sensors import TemperatureDependence
 
@@ -40,20 +39,6 @@ class BiasPolynomials:
 
     found: TemperatureDependence
     jacobian: Floats
-
-
-def chip_temperature(recordings: Sequence[Recording]) -> dict[str, str]:
-    """Return mean and range of the first IMU's temperature [degC], as text of the provenance; nothing without one."""
-    imus = [next(iter(one.imus.values())) for one in recordings if one.imus]
-    read = [known_readings(imu.temperature) for imu in imus if imu.temperature is not None]
-    celsius = [one[1] for one in read if one is not None]
-    if not celsius or len(celsius) < len(recordings):
-        return {}
-    mean = float(np.mean([one.mean() for one in celsius]))
-    low, high = (float(pick([pick(one) for one in celsius])) for pick in (np.min, np.max))
-    if not CHIP_DEGC[0] <= mean <= CHIP_DEGC[1]:
-        return {}
-    return {"chip_degc": f"{mean:.2f}", "chip_range_degc": f"{low:.2f} to {high:.2f}"}
 
 
 def rose_and_fell(samples: TemperatureSamples | None) -> bool:
@@ -93,7 +78,7 @@ def temperature_powers(degc: Floats, at_rest: Floats, step_k: float) -> Floats:
 
 
 def bias_polynomials(
-    fit: MultiPositionFit, problem: MultiPositionProblem, reference_degc: float | None, lag_s: float
+    fit: MultiPositionFit, problem: MultiPositionProblem, reference_degc: float, lag_s: float
 ) -> BiasPolynomials | None:
     """Return how the biases follow the temperature in a fit; None where they do not.
 
@@ -105,7 +90,7 @@ def bias_polynomials(
     lag_s : of the thermometer, which is undone already [s]
     """
     columns = temperature_columns(fit.data)
-    if reference_degc is None or fit.data.degc is None or not columns:
+    if fit.data.degc is None or not columns:
         return None
     low, high = (reference_degc + float(pick(fit.data.degc[0][:, 0])) for pick in (np.min, np.max))
     values: dict[str, Floats] = {}

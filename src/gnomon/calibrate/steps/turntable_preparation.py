@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
-from ...assess.checks.temperature_checks import check_thermometers
+from ...assess.checks.temperature_checks import check_temperature
 from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
@@ -145,7 +145,8 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
             if finding.severity == "problem":
                 raise RecordingError(str(finding))
         findings += [f for f in noticed if f.severity == "warning" and f.code not in _HARMLESS]
-        findings += [f for f in (*recording.findings, *check_thermometers({name: imu})) if f.severity != "good"]
+        thermometer = [] if imu.temperature is None else check_temperature(imu.temperature, f"{name} thermometer")
+        findings += [f for f in (*recording.findings, *thermometer) if f.severity != "good"]
         gyroscope, accelerometer = repair_samples(imu.gyroscope), imu.accelerometer
         if len(accelerometer) > 1:
             accelerometer = repair_samples(accelerometer)

@@ -128,7 +128,8 @@ class CameraImu(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ...calibrate import calibrate_camera_imu, read_camera_imu
+        from ...calibrate.camera_imu import calibrate_camera_imu
+        from ...calibrate.steps.camera_imu_reading import read_camera_imu
         from ...writers.camera_imu_files import save_camera_imu_files
         from ..camera_summary import programs_reading
 

@@ -49,7 +49,7 @@ class Imu(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ...calibrate import calibrate_imu
+        from ...calibrate.imu import calibrate_imu
         from ...readers.recordings import read_several
         from ..summary import summary_lines
 

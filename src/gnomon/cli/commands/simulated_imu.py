@@ -53,7 +53,7 @@ class Demo(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""
-        from ...calibrate import calibrate_imu
+        from ...calibrate.imu import calibrate_imu
         from ...formats.own.calibration_text import save
         from ...readers.recordings import read
         from ...simulate import simulate

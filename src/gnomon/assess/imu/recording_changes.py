@@ -1,23 +1,40 @@
-"""Biases that stepped, wandered or warmed up while an IMU was recorded: what they did, and which bias is published."""
+"""What changed while an IMU was recorded: axes, range, the sensor itself, and biases that stepped or wandered.
+
+Of biases it is said what they did, and which one is published.
+"""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from ...estimate.multiposition.model import PARAMETERS, BiasFunctions
+from ...estimate.multiposition.problem import MultiPositionProblem
+from ...estimate.multiposition.triad_changes import find_axes_change
 from ...findings import Finding, list_first, make_finding
 from ...recording import Floats
+from ...results.result import Booleans
 from ...results.sensor_diagnostics import BiasSegments, ImuDiagnostics
 from ...results.sensors import TemperatureDependence
-from ..checks.protocol import significant_cluster
 from .imu_tables import ImuFitSummary, interval_numbers
 
 _TRIADS, _BIASES = ("gyroscope", "accelerometer"), (slice(21, 24), slice(9, 12))
+
+
 _SEEN = 0.3  # of the bias's sigma, from which on a course is worth a word
+
+
 _SHOWN = 4  # parts of a recording
+
+
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
+
+
 _MOSTLY = 0.5  # of a variance
+
+
 _CURVE = 100  # temperatures at which a polynomial is looked at
+
+
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
@@ -235,7 +252,11 @@ def _per_si(evidence: ImuFitSummary, triad: str) -> Floats:
 
 
 _TURN_IT = "turn it through all attitudes while it warms up by more, and cools again"
+
+
 _WARM_IT = "and turn-on scatter record warm-ups at rest: gnomon temperature WARM-UP... --calibration RESULT"
+
+
 _PARTS_OF = {"1": " %", "local field": " % of the local field"}
 
 
@@ -245,3 +266,69 @@ def _shown(triad: str, size: float, unit: str = "") -> str:
     if triad == "gyroscope":
         return f"{1e3 * size:.2g} mrad/s ({np.degrees(size):.2g} deg/s)"
     return f"{1e3 * size:.2g} mm/s^2"
+
+
+def axes_changed_findings(problem: MultiPositionProblem) -> list[Finding]:
+    """Return that from one instant on the axes of a triad, or the gyroscope's scale, are others.
+
+    Parameters
+    ----------
+    problem : with all rests, also those at which gravity is read as no other rest has it
+    """
+    change = find_axes_change(problem)
+    if change is None:
+        return []
+    t_from_s, t_to_s = problem.start_s[change.row], problem.stop_s[change.row]
+    if change.factor != 1:
+        return [
+            make_finding(
+                "gyroscope-range-changed", label="imu0", factor=change.factor, t_from_s=t_from_s, t_to_s=t_to_s
+            )
+        ]
+    read = [
+        f"{axis} reads what would have been {'-' if row.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}"
+        for axis, row, same in zip("xyz", change.after, np.eye(3), strict=True)
+        if (row != same).any()
+    ]
+    return [
+        make_finding(
+            "axes-changed",
+            label="imu0",
+            triad=change.triad,
+            read=", ".join(read),
+            t_from_s=t_from_s,
+            t_to_s=t_to_s,
+        )
+    ]
+
+
+_FEWEST = 3  # rests behind each other
+
+
+_CHANCE = 0.05  # that rests left out independently of each other lie as close together
+
+
+def significant_cluster(out: Booleans) -> tuple[int, int] | None:
+    """Return the first rest and the last one of those left out behind each other; None where chance explains them.
+
+    Of the stretches that hold three or more, and more left out than used, the one that is least likely where as many
+    are left out independently: the hypergeometric probability, times the places where it may begin.
+
+    Parameters
+    ----------
+    out : (n,) rests that do not agree with the others
+    """
+    at = np.flatnonzero(out)
+    if len(at) < _FEWEST:
+        return None
+    from scipy.stats import hypergeom  # slow to load, and rarely needed
+
+    least, found = _CHANCE, None
+    for k, first in enumerate(at):
+        for held, last in enumerate(at[k + _FEWEST - 1 :], start=_FEWEST):
+            length = last - first + 1
+            places = len(out) - length + 1
+            chance = places * float(hypergeom.sf(held - 1, len(out), len(at), length))
+            if 2 * held > length and chance < least:
+                least, found = chance, (int(first), int(last))
+    return found
