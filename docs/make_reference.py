@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import gnomon
-from gnomon.cli.catalogue import COMMANDS
-from gnomon.cli.parsing.arguments import Entry
-from gnomon.cli.parsing.help import describe_command
+from gnomon.cli.arguments import Entry
+from gnomon.cli.command import COMMANDS
+from gnomon.cli.help import describe_command
 from gnomon.findings import read_catalogue
 from gnomon.options import (
     CameraImuOptions,

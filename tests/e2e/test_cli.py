@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.catalogue import COMMANDS
+from gnomon.cli.command import COMMANDS
 from gnomon.kernel import describe_kernel
 from repeatable import to_the_last_digit
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable_text
 from ..progress import listening_to
-from .catalogue import parse_command
+from .command import parse_command
 from .inputs import refuse_missing
 from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal

@@ -1,20 +1,24 @@
-"""What the commands share: annotations of their options, and what a recording does not say about itself."""
+"""Which commands there are, and what they share: options, and what a recording does not say about itself."""
 
 import datetime
 import re
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from .._version import __version__
 from ..errors import OptionError
+from ..options import check_ranges
 from ..units import Units
-from .parsing.arguments import Argument, Place
+from .arguments import Argument, Place, parse_line
 
 if TYPE_CHECKING:
     from .terminal import Terminal
-
 
 Flat = Argument(flat=True)
 """Options of a nested class appear without a prefix."""
@@ -228,3 +232,146 @@ def topics_of(stated: Sequence[str]) -> dict[str, str]:
             raise OptionError(f"--topics {text}: {name} is stated twice.")
         topics[name] = topic
     return topics
+
+
+GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "calibrate": {
+        "imu": ("imu.Imu", "an IMU that was turned by hand and held still; or static poses"),
+        "camera-imu": ("camera_imu.CameraImu", "cameras and an IMU, waved in front of a board"),
+        "camera": ("camera.CameraCommand", "lenses and relative poses of cameras, from views of a board"),
+        "turntable": ("turntable.Turntable", "a gyroscope on a turntable, such as a record player"),
+        "magnetometer": ("magnetometer.Magnetometer", "a magnetometer that was turned by hand"),
+        "noise": ("noise.Noise", "the noise of an IMU, from a long recording at rest"),
+        "temperature": ("temperature.Temperature", "how an IMU changes with its temperature"),
+    },
+    "prepare": {
+        "live": ("live.Live", "record a sensor with guidance on what to do next"),
+        "check": ("check.Check", "what a recording holds, and what is wrong with it"),
+        "plan": ("plan.Plan", "how well a recording of cameras and an IMU would calibrate them"),
+        "plan-imu": ("plan.PlanImu", "how well a recording with rests would calibrate an IMU"),
+        "target": ("target.PrintTarget", "draw a calibration board at true scale, to print"),
+        "rate": ("turntable.Rate", "how fast a platter turns, from a video"),
+    },
+    "use": {
+        "show": ("show.Show", "a calibration as tables with standard deviations"),
+        "certificate": ("certificate.Certificate", "page one of a result's report as a PDF"),
+        "apply": ("show.Apply", "correct a recording with a calibration"),
+        "convert": ("convert.Convert", "write a calibration or recording in another format"),
+        "compare": ("compare.Compare", "calibrations of one rig, made by any program"),
+        "verify": ("verify.Verify", "whether a calibration still holds, by a fresh recording"),
+        "batch": ("batch.Batch", "calibrate many devices, a recording each, into a library"),
+        "library": ("library.LibraryCommand", "a library of many devices: list, history, chart, report, export"),
+    },
+    "try": {
+        "demo": ("simulated_imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
+        "simulate imu": ("simulated_imu.Simulate", "a recording by hand, and its truth"),
+        "simulate poses": ("poses.SimulatePoses", "one static attitude after another"),
+        "simulate turntable": ("turntable.SimulateTurntable", "recordings on a turntable"),
+        "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),
+        "simulate magnetometer": ("magnetometer.SimulateMagnetometer", "a magnetometer turned by hand"),
+        "simulate noise": ("noise.SimulateNoise", "a long recording at rest"),
+        "simulate temperature": (
+            "temperature.SimulateTemperature",
+            "an IMU over its temperature, with its thermometer",
+        ),
+        "simulate cameras": ("camera.SimulateCameras", "cameras in front of a board"),
+        "simulate camera-imu": ("camera_imu.SimulateCameraImu", "cameras and an IMU in front of a board"),
+        "simulate room": ("camera_imu.SimulateRoom", "a camera and an IMU in a room, without a board"),
+        "study": ("study.Study", "repeat a published experiment many times"),
+        "completion": ("completion.Completion", "complete commands and options with the tab key"),
+    },
+}
+"""Name of a command -> where its class is, and what it is about, which takes no import to show."""
+_CLASSES = {name: place for group in GROUPS.values() for name, (place, _) in group.items()}
+SIMULATED = [name.partition(" ")[2] for name in _CLASSES if " " in name]
+"""What can be simulated."""
+
+
+_MEANT = {
+    **dict.fromkeys(("calibrate", "calib", "cal"), "imu, camera-imu, camera, turntable, magnetometer or noise"),
+    "accel": "imu", "accelerometer": "imu", "gyro": "imu or turntable", "gyroscope": "imu or turntable",
+    "mag": "magnetometer", "compass": "magnetometer", "allan": "noise", "lens": "camera", "intrinsics": "camera",
+    "extrinsics": "camera-imu", "stereo": "camera", "board": "target", "record": "live", "read": "check",
+    "info": "check", "validate": "verify or check", "export": "convert", "correct": "apply", "diff": "compare",
+    "report": "show or certificate", "print": "show", "generate": "simulate",
+}  # fmt: skip
+"""What other programs and people call it -> the command."""
+
+
+class _Commands(Mapping[str, type[Command]]):
+    """The classes of the commands by name; a file is imported when its command is asked for."""
+
+    def __getitem__(self, name: str) -> type[Command]:
+        module, _, cls = _CLASSES[name].partition(".")
+        return getattr(import_module(f".commands.{module}", __package__), cls)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_CLASSES)
+
+    def __len__(self) -> int:
+        return len(_CLASSES)
+
+
+COMMANDS: Mapping[str, type[Command]] = _Commands()
+
+
+def parse_command(arguments: Sequence[str]) -> Command:
+    """Return the command that the arguments ask for.
+
+    Raises
+    ------
+    SystemExit
+        After printing help (0), or what is wrong with the arguments (2).
+    OptionError
+        If the value of an option makes no sense.
+    FormatError
+        If a file of options cannot be read.
+    """
+    words = list(arguments) or ["--help"]
+    if words[0] == "help":  # gnomon help imu, as of git
+        words = [*words[1:], "--help"]
+    if words[0] in ("-V", "--version", "version"):
+        from ..kernel import describe_kernel
+
+        sys.stdout.write(f"gnomon {__version__} ({describe_kernel()})\n")
+        raise SystemExit(0)
+    if words[0] in ("-h", "--help"):
+        from .help import program_help
+
+        sys.stdout.write(program_help())
+        raise SystemExit(0)
+    if words in (["simulate", "--help"], ["simulate", "-h"]):
+        from .help import simulate_help
+
+        sys.stdout.write(simulate_help())
+        raise SystemExit(0)
+    name, words = _split_name(words)
+    parsed = parse_line(COMMANDS[name], words, f"gnomon {name}")
+    check_ranges(parsed)
+    return parsed
+
+
+def _split_name(words: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Return the name of the command, of one word or two, and the words after it."""
+    first, *others = words
+    kind = first.removeprefix("simulate-") if first.startswith("simulate-") else ""
+    if first == "simulate":
+        is_kind = bool(others) and not others[0].startswith("-")
+        kind, others = (others[0], others[1:]) if is_kind else ("imu", others)
+    if kind in SIMULATED and [*words] != ["simulate"]:
+        return f"simulate {kind}", others
+    if kind:
+        near = [] if kind in SIMULATED else get_close_matches(kind, SIMULATED, 1)
+        meant = f" Did you mean {near[0]}?" if near else ""
+        raise OptionError(f"gnomon simulate KIND: KIND is one of {join_names(SIMULATED, 'or')}.{meant}")
+    if first in _CLASSES:
+        return first, others
+    if first.startswith("-"):
+        near = get_close_matches(first, ["--version", "--help"], 1)
+        meant = f"Did you mean {near[0]}?" if near else "Options stand behind it; gnomon COMMAND --help lists them."
+        raise OptionError(f"there is no option {first} before the command. {meant}")
+    near = get_close_matches(first, _CLASSES, 1, cutoff=0.65)
+    meant = _MEANT.get(first.lower()) or next(iter(near), None)
+    raise OptionError(
+        f"there is no command {first}. {f'Did you mean {meant}?' if meant else 'gnomon --help lists them.'}"
+    )

@@ -186,7 +186,7 @@ def calibrate_device(task: DeviceTask) -> DeviceOutcome:
     """Calibrate one recording as its command would, and return what became of it."""
     from ..formats.own.calibration_file import load
     from . import explain_error
-    from .catalogue import parse_command
+    from .command import parse_command
 
     try:
         command = parse_command(task.line)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import OptionError, RecordingError
 from ..models.lens_names import PROGRAMS
+from .arguments import command_entries
 from .command import Command, StatedFacts
-from .parsing.arguments import command_entries
 
 if TYPE_CHECKING:
     from ..assess.comparison.comparison import Comparison

@@ -7,7 +7,7 @@ import shlex
 import pytest
 
 from docs_pages import PAGES, shell_commands
-from gnomon.cli.catalogue import COMMANDS, parse_command
+from gnomon.cli.command import COMMANDS, parse_command
 from gnomon.errors import OptionError
 
 LINES = [

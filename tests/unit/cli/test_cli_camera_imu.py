@@ -14,7 +14,7 @@ import yaml
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.catalogue import COMMANDS, parse_command
+from gnomon.cli.command import COMMANDS, parse_command
 from gnomon.cli.commands.camera_imu import CameraImu, SimulateCameraImu
 from gnomon.cli.output_folder import CAMERA_IMU_FILES
 from gnomon.formats.own.options_file import options_text

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.catalogue import COMMANDS
+from gnomon.cli.command import COMMANDS
 from gnomon.cli.commands.completion import completion_lines
 
 needs_bash = pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")

@@ -16,7 +16,7 @@ import triad_result
 from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, shell_commands, text
 from gnomon.calibrate.steps import camera_reading
-from gnomon.cli.catalogue import COMMANDS, parse_command
+from gnomon.cli.command import COMMANDS, parse_command
 from gnomon.cli.commands.convert import RecordingForm
 from gnomon.cli.commands.study import PAGE, STUDIES
 from gnomon.findings import Finding, read_catalogue

@@ -6,7 +6,7 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 
-from gnomon.cli.catalogue import COMMANDS, parse_command
+from gnomon.cli.command import COMMANDS, parse_command
 from gnomon.errors import OptionError
 from gnomon.options import check_ranges, option_range
 from gnomon.units import parse_rate

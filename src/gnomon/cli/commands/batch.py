@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from ...errors import OptionError, SolveError
+from ..arguments import Argument
 from ..command import Command, output_option
 from ..devices import device_facts, find_recordings, read_device_table, recording_stem
 from ..output_folder import check_folder
-from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
 
@@ -90,7 +90,7 @@ class Batch(Command):
 
     def _tasks(self, recordings: list[Path], folder: Path) -> "list[DeviceTask]":
         from ..._version import __version__
-        from ..catalogue import parse_command
+        from ..command import parse_command
         from ..devices import DeviceTask
 
         table = read_device_table(self.devices) if self.devices else {}

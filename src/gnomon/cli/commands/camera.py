@@ -9,6 +9,7 @@ from ...models.lens_names import check_program, refit_models
 from ...options import CameraOptions
 from ...simulate.scenarios.cameras import CamerasScenario
 from ...units import Units
+from ..arguments import Argument
 from ..command import (
     Cache,
     CamFile,
@@ -25,7 +26,6 @@ from ..command import (
 )
 from ..inputs import files_beside, refuse_overwriting, result_with_reading
 from ..output_folder import CAMERA_FILES, default_folder, result_folder
-from ..parsing.arguments import Argument
 from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
 from ..simulated import OF_IMUS, check_form, folder_document, print_folder, replaces_simulated
 from ..terminal import Terminal

@@ -9,6 +9,7 @@ from ...errors import OptionError
 from ...options import CameraImuOptions, FrameSelection
 from ...simulate.scenarios.camera_imu import CameraImuScenario, RoomScenario
 from ...units import Units
+from ..arguments import Argument
 from ..command import (
     Cache,
     CamFile,
@@ -27,7 +28,6 @@ from ..command import (
 )
 from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting, result_with_reading
 from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
-from ..parsing.arguments import Argument
 from ..results import (
     USABLE,
     exit_code,

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from ..arguments import Argument, command_entries
 from ..command import Command
-from ..parsing.arguments import Argument, command_entries
 from ..terminal import Terminal
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
@@ -86,7 +86,7 @@ def completion_lines(shell: Shell) -> str:
 
 def _known_words() -> Iterator[tuple[str, str]]:
     """Yield what stands before a word, and the words that can stand there."""
-    from ..catalogue import COMMANDS
+    from ..command import COMMANDS
 
     kinds = [name.partition(" ")[2] for name in COMMANDS if " " in name]
     yield "", " ".join(dict.fromkeys(name.partition(" ")[0] for name in COMMANDS))

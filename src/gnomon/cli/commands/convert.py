@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 from ...errors import GnomonError, OptionError, OutputError
 from ...findings import join_names
 from ...units import Units
+from ..arguments import Argument
 from ..command import Command, FileOption, Topics, output_option, topics_of
 from ..output_folder import ALL_RESULT_FILES, check_folder, owner_of
-from ..parsing.arguments import Argument
 from ..results import USABLE, print_assumptions
 from ..terminal import Terminal
 

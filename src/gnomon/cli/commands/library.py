@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ...errors import GnomonError, OptionError
+from ..arguments import Argument
 from ..command import Command
-from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_findings
 from ..terminal import Terminal, json_value
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ...errors import OptionError, RecordingError
 from ...output import write_whole
+from ..arguments import Argument
 from ..command import CamFile, Command, FileOption, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
 from ..inputs import files_beside, read_use_option
 from ..output_folder import default_folder
-from ..parsing.arguments import Argument
 from ..terminal import Terminal
 from .camera import NO_TARGET, CameraCommand
 from .camera_imu import CameraImu

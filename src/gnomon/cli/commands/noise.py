@@ -10,9 +10,9 @@ from ...errors import OptionError
 from ...options import NoiseOptions
 from ...progress import Step
 from ...simulate.scenarios.recorded import NoiseScenario
+from ..arguments import Argument
 from ..command import Command, Flat, Input, Report, Seed, output_option
 from ..output_folder import NOISE_FILES, default_folder, result_folder
-from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
 from ..terminal import Terminal
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 from ...errors import OptionError
 from ...frozen import value_class
 from ...progress import as_step
+from ..arguments import Argument
 from ..command import Command, Seed, output_option
 from ..output_folder import result_folder
-from ..parsing.arguments import Argument
 from ..results import USABLE
 from ..terminal import Terminal
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ...errors import OptionError
+from ..arguments import Argument
 from ..command import (
     Command,
     output_option,
 )
-from ..parsing.arguments import Argument
 from ..results import (
     USABLE,
 )

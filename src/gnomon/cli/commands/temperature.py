@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ...simulate.scenarios.temperature import TemperatureScenario
+from ..arguments import Argument
 from ..command import Command, FileOption, Flat, Report, Seed, StatedFacts, TableOptions, output_option
 from ..inputs import with_statements
 from ..output_folder import default_folder, result_folder
-from ..parsing.arguments import Argument
 from ..results import USABLE, exit_code, print_files, print_findings, result_files
 from ..terminal import Terminal
 

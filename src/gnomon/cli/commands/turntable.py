@@ -11,10 +11,10 @@ from ...options import TurntableOptions
 from ...simulate.scenarios.platter import PlatterScenario
 from ...simulate.scenarios.recorded import TurntableScenario
 from ...units import Units, parse_rate
+from ..arguments import Argument
 from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
 from ..output_folder import default_folder, result_folder, truth_name
-from ..parsing.arguments import Argument
 from ..results import USABLE, print_assumptions, print_result, write_result
 from ..terminal import Terminal
 

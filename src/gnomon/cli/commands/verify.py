@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
+from ..arguments import Argument
 from ..command import (
     CamFile,
     CertificateFacts,
@@ -21,7 +22,6 @@ from ..command import (
 )
 from ..inputs import files_beside, read_use_option, sources_of, with_statements
 from ..output_folder import default_folder, result_folder
-from ..parsing.arguments import Argument
 from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
 from ..terminal import Terminal, json_value
 

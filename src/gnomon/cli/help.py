@@ -1,4 +1,4 @@
-"""The help of a command, from its docstring, its fields and the texts below them."""
+"""The help of the program, and of a command from its docstring, its fields and the texts below them."""
 
 import ast
 import inspect
@@ -8,8 +8,10 @@ from dataclasses import MISSING, is_dataclass
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
-from .arguments import Entry, command_entries
-from .line import LineParser, add_entry, help_width
+from .._version import __version__
+from ..findings import join_names
+from .arguments import Entry, LineParser, add_entry, command_entries, help_width
+from .command import COMMANDS, GROUPS, SIMULATED
 
 
 class CommandHelp(NamedTuple):
@@ -100,3 +102,32 @@ def _field_texts(classes: Iterable[type]) -> dict[str, str]:
                 case _:
                     pass
     return texts
+
+
+ABOUT = "Calibrate an IMU, alone or with cameras, without mechanical equipment."
+_LAST = "gnomon COMMAND --help shows the options of a command, and examples."
+_EXIT_CODES = "Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 the verdict says no."
+
+
+def simulate_help() -> str:
+    """Return what can be simulated, a line for each kind."""
+    kinds = [f"  {name.partition(' ')[2]:<15}{about}" for name, (_, about) in GROUPS["try"].items() if " " in name]
+    last = ["examples:", "  gnomon simulate imu -o recording.npz", "  gnomon simulate camera-imu -o rig"]
+    last += ["", "gnomon simulate KIND --help shows the options of a kind, and more examples."]
+    return "\n".join(["usage: gnomon simulate KIND [OPTIONS]", "", "kinds:", *kinds, "", *last]) + "\n"
+
+
+def program_help() -> str:
+    """Return what can be done, a line for each command."""
+    width, indent = help_width(), max(len(name) for name in COMMANDS if " " not in name) + 4
+    blocks = ["usage: gnomon COMMAND [OPTIONS]", f"{ABOUT} gnomon {__version__}"]
+    for title, group in GROUPS.items():
+        lines = [(name, about) for name, (_, about) in group.items() if " " not in name]
+        if title == "try":
+            lines.insert(1, ("simulate KIND", f"a recording: {join_names(SIMULATED, 'or')}"))
+        filled = [
+            textwrap.fill(f"  {name:<{indent - 2}}{about}", width, subsequent_indent=" " * indent)
+            for name, about in lines
+        ]
+        blocks.append("\n".join([f"{title}:", *filled]))
+    return "\n\n".join([*blocks, _LAST + "\n" + textwrap.fill(_EXIT_CODES, width)]) + "\n"

@@ -1,1 +1,0 @@
-"""Words of the command line -> a command, and the help that says which there are."""
