@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from .._version import __version__
 from ..errors import OptionError
+from ..findings import join_names
 from ..options import check_ranges
 from ..units import Units
 from .arguments import Argument, Place, parse_line
