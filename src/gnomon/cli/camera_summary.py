@@ -17,7 +17,7 @@ from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostic
 from ..results.result import Result
 from ..units import share_words
 from ..writers.tables import value_text
-from .summary import common_decimals, gravity_lines
+from .results import common_decimals, gravity_lines
 
 
 def cameras_lines(result: Result) -> Iterator[str]:

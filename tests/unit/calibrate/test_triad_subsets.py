@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gnomon
-from gnomon.cli.summary import parameter_lines, summary_lines
+from gnomon.cli.results import parameter_lines, summary_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign_files import load_foreign

@@ -9,7 +9,7 @@ import pytest
 import field_logs
 from gnomon.cli import main
 from gnomon.cli.command import SIMULATED
-from gnomon.cli.summary import finding_lines
+from gnomon.cli.results import finding_lines
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OutputError
 from gnomon.findings import Finding

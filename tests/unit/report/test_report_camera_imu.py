@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM_IMU, make_camera_imu_result
-from gnomon.cli.summary import held_lines
+from gnomon.cli.results import held_lines
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report.camera_imu.page import imu_section

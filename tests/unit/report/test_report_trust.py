@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gnomon.cli.summary import trust_lines
+from gnomon.cli.results import trust_lines
 from gnomon.report.page import Figure, Prose, ReportTable
 from gnomon.report.trust import trust_section
 from gnomon.results.calibration import Assessment

@@ -31,6 +31,7 @@ from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
 from ..results import (
     USABLE,
     exit_code,
+    parameter_lines,
     print_assumptions,
     print_files,
     print_summary,
@@ -178,7 +179,6 @@ class CameraImu(Command):
 
 def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
     from ..camera_summary import camera_imu_lines, camera_pose_lines, imu_pose_lines
-    from ..summary import parameter_lines
 
     print_summary(result.calibration, camera_imu_lines(result), terminal)
     poses = (*camera_pose_lines(result.calibration), *imu_pose_lines(result.calibration))

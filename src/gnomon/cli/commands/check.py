@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from ...errors import OptionError
 from ..command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Topics, topics_of
 from ..inputs import files_beside
-from ..results import UNUSABLE, USABLE, print_assumptions
+from ..results import UNUSABLE, USABLE, finding_lines, print_assumptions
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -240,8 +240,6 @@ def _print_check(
     following: Sequence[str | Path] = (),
 ) -> int:
     """Print what a recording holds, what was found, and which command follows; return the exit code."""
-    from ..summary import finding_lines
-
     problems = {finding.code for finding in findings if finding.severity == "problem"}
     code = UNUSABLE if problems else USABLE
     print_assumptions(assumptions, terminal)

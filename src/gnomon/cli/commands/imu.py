@@ -17,7 +17,7 @@ from ..command import (
 )
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
 from ..output_folder import check_folder, default_folder, joined_folder, result_folder
-from ..results import print_assumptions, print_result, write_result
+from ..results import print_assumptions, print_result, summary_lines, write_result
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ class Imu(Command):
         """Calibrate, write the folder of the result, and return the exit code."""
         from ...calibrate.imu import calibrate_imu
         from ...readers.recordings import read_several
-        from ..summary import summary_lines
 
         source = self.recording
         check_folder(self.output or default_folder(source.paths, "imu"))  # before the work

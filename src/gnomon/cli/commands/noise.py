@@ -13,7 +13,17 @@ from ...simulate.scenarios.recorded import NoiseScenario
 from ..arguments import Argument
 from ..command import Command, Flat, Input, Report, Seed, output_option
 from ..output_folder import NOISE_FILES, default_folder, result_folder
-from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
+from ..results import (
+    UNUSABLE,
+    USABLE,
+    VERDICTS,
+    common_decimals,
+    common_power,
+    print_assumptions,
+    print_files,
+    print_findings,
+    result_files,
+)
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -127,8 +137,6 @@ def show_noise(path: Path, terminal: Terminal) -> int:
 
 
 def _print(found: "SensorNoise", terminal: Terminal) -> None:
-    from ..summary import VERDICTS
-
     meaning, style = VERDICTS[found.verdict]
     terminal.print(f"{found.verdict}: {meaning.replace('calibration', 'noise')}", style)
     for sensor, triad in found.triads.items():
@@ -152,8 +160,6 @@ def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
 def _row(found: "Sequence[Coefficient]", unit: str) -> str:
     """Return the coefficients of three axes with one power of ten, and their unit."""
     import numpy as np
-
-    from ..summary import common_decimals, common_power
 
     values = np.array([one.most for one in found])
     sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])

@@ -22,6 +22,8 @@ from ..output_folder import default_folder
 from ..results import (
     USABLE,
     calibration_document,
+    finding_lines,
+    held_lines,
     print_assumptions,
     print_needs,
 )
@@ -79,9 +81,7 @@ class Show(Command):
             calibration = judge(calibration, self.use)
         print_needs(calibration, terminal)
         _print_tables((summary_table(calibration), *form_tables(calibration, self.form)), terminal)
-        from .. import summary
-
-        if lines := [*summary.held_lines(calibration), *summary.finding_lines(calibration.assessment.findings)]:
+        if lines := [*held_lines(calibration), *finding_lines(calibration.assessment.findings)]:
             terminal.print("\n".join(lines))
         terminal.document(lambda: calibration_document(calibration))
         return USABLE

@@ -9,7 +9,7 @@ from ..arguments import Argument
 from ..command import Command, FileOption, Flat, Report, Seed, StatedFacts, TableOptions, output_option
 from ..inputs import with_statements
 from ..output_folder import default_folder, result_folder
-from ..results import USABLE, exit_code, print_files, print_findings, result_files
+from ..results import USABLE, VERDICTS, exit_code, print_files, print_findings, result_files
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -103,8 +103,6 @@ def _numbers(result: "TemperatureResult") -> dict[str, object]:
 
 
 def _print(result: "TemperatureResult", terminal: Terminal) -> None:
-    from ..summary import VERDICTS
-
     meaning, style = VERDICTS[result.calibration.verdict]
     terminal.print(f"{result.calibration.verdict}: {meaning}", style)
     for finding in result.calibration.assessment.findings:

@@ -15,7 +15,15 @@ from ..arguments import Argument
 from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
 from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
 from ..output_folder import default_folder, result_folder, truth_name
-from ..results import USABLE, print_assumptions, print_result, write_result
+from ..results import (
+    USABLE,
+    common_decimals,
+    finding_lines,
+    print_assumptions,
+    print_result,
+    summary_lines,
+    write_result,
+)
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -177,11 +185,10 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
 def _summary_lines(result: "Result") -> Iterator[str]:
     """Yield lines on what the calibration rests on, and the speeds."""
     from ...results.sensor_diagnostics import TriadDiagnostics
-    from .. import summary
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, TriadDiagnostics)
-    yield from summary.summary_lines(result.calibration)
+    yield from summary_lines(result.calibration)
     for rate in diagnostics.rates:
         if rate.stated:
             turns = f", {rate.turns:.0f} turns seen" if rate.turns == rate.turns else ""
@@ -290,7 +297,6 @@ class Rate(Command):
     def run(self, terminal: Terminal) -> int:
         """Measure the rate of a platter, say it, and return the exit code."""
         from ...calibrate.platter_rate import rate_from_video
-        from .. import summary
 
         found = rate_from_video(self.video, self.nominal_rad_s, terminal.progress)
         value, sigma, turns_hz = found.rate_rad_s, found.sigma_rad_s, found.rate_rad_s / (2 * pi)
@@ -306,15 +312,13 @@ class Rate(Command):
             f"frames        {found.frames_used} of {found.frames} used, {found.frame_rate_hz:.4g} per second"
         )
         terminal.print(f"one turn      {1 / turns_hz:.6g} s")
-        terminal.print("\n" + "\n".join(summary.finding_lines(found.findings, good=True)))
+        terminal.print("\n" + "\n".join(finding_lines(found.findings, good=True)))
         terminal.document(rate_document(found))
         return USABLE
 
 
 def _with_sigma(value: float, sigma: float) -> str:
     import numpy as np
-
-    from ..summary import common_decimals
 
     decimals = common_decimals(np.array([sigma]))
     return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
