@@ -16,9 +16,8 @@ from gnomon.estimate.camera_imu.parameters import (
     gravity_axes,
 )
 from gnomon.estimate.camera_imu.start.first_guess import per_corner
-from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
 from gnomon.estimate.camera_imu.terms.inertial_terms import InertialData, InertialNoise, TriadData
-from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, exposure_times
+from gnomon.estimate.camera_imu.terms.visual_terms import Exposures, VisualData, board_in_camera, exposure_times
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera

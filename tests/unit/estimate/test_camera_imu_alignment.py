@@ -11,7 +11,7 @@ from gnomon.assess.checks.rig_checks import check_recording_rig
 from gnomon.estimate.camera_imu.start.alignment import align_camera, gyroscope_integral
 from gnomon.estimate.camera_imu.start.board_poses import board_poses, gather_exposures
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_cameras, first_place
-from gnomon.estimate.camera_imu.terms.corner_sums import CornerSums, frame_scatter
+from gnomon.estimate.camera_imu.terms.visual_terms import CornerSums, frame_scatter
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from board_views import BOARD, MODELS, lens, pose, seen
-from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise
+from gnomon.estimate.camera_imu.terms.visual_terms import CornerNoise
 from gnomon.estimate.cameras.first_rig import posed_rig
 from gnomon.estimate.cameras.layout import POSE, SharedLayout, offsets_information, stated_shape
 from gnomon.estimate.cameras.normal import accumulate_normal_equations, eliminate_poses, view_sums

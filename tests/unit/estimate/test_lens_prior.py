@@ -10,7 +10,7 @@ from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.start.board_poses import board_poses
-from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
+from gnomon.estimate.camera_imu.terms.visual_terms import CornerNoise, Exposures, corner_sums
 from gnomon.options import CameraImuOptions
 from gnomon.recording import Recording
 

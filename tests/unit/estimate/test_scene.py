@@ -9,7 +9,7 @@ import pytest
 from gnomon.estimate.camera_imu.gauss_newton import lasting_factor
 from gnomon.estimate.camera_imu.start.board_poses import resection_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
-from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
+from gnomon.estimate.camera_imu.terms.visual_terms import Exposures
 from gnomon.estimate.landmarks.bundle import adjust_bundle
 from gnomon.estimate.landmarks.scene_path import (
     SeenTurns,

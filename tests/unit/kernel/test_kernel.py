@@ -18,7 +18,7 @@ from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.deviation import overlapping_allan
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts
-from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
+from gnomon.estimate.camera_imu.terms.visual_terms import CornerNoise, Exposures, corner_sums
 from gnomon.estimate.multiposition.measurements import MotionSegments, integrate_rates
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.kernel.library import join_columns

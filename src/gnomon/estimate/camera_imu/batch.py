@@ -24,9 +24,8 @@ from .layout import BorderLayout
 from .parameters import RigParameters
 from .terms.assembly import TRIAD, add_priors, add_smoothness, add_walks, random_walk_links, scalar_groups, summed_up
 from .terms.board_terms import BoardBorder
-from .terms.corner_sums import CornerNoise, CornerSums
 from .terms.inertial_terms import InertialData, InertialNoise, InertialTerms, split_triads
-from .terms.visual_terms import VisualData, VisualTerms
+from .terms.visual_terms import CornerNoise, CornerSums, VisualData, VisualTerms
 from .trajectory import BIAS, POSE, Trajectory
 
 PROBES = 4

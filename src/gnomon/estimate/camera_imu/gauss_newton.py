@@ -17,8 +17,8 @@ from ...recording import Floats, Integers
 from ...solve.bordered_band import Factor, Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, found_walks, linearize_batch, walk_sums
 from .layout import BorderLayout
-from .terms.corner_sums import CornerSums, Exposures
 from .terms.inertial_terms import InertialNoise
+from .terms.visual_terms import CornerSums, Exposures
 from .trajectory import BIAS
 
 _OVERSHOT = 0.25  # of the decrease that a step foretold: if less comes true, half of the step is tried, too

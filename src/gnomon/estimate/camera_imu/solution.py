@@ -23,8 +23,8 @@ from .gauss_newton import (
     pixel_levels,
 )
 from .layout import BorderLayout
-from .terms.corner_sums import CornerSums, Exposures, frame_scatter
 from .terms.inertial_terms import InertialNoise
+from .terms.visual_terms import CornerSums, Exposures, frame_scatter
 
 GATE = 4.0
 """A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""

@@ -20,7 +20,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from ..camera_imu.start.board_poses import homography_poses, thin_exposures
-from ..camera_imu.terms.corner_sums import CornerNoise
+from ..camera_imu.terms.visual_terms import CornerNoise
 from .layout import SharedLayout, lens_bounds, stated_shape
 from .noise import usual_sigma
 from .normal import ViewNormalEquations, accumulate_normal_equations, inverse_poses

@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import InitialisationError
 from ...models.camera import Camera
 from ...recording import Floats, Integers
-from ..camera_imu.terms.corner_sums import CornerNoise
+from ..camera_imu.terms.visual_terms import CornerNoise
 from .first_lens import MOST_STEPS, first_lens, first_poses, settle_poses
 from .layout import SharedLayout, stated_shape
 from .noise import HUBER, usual_sigma

@@ -11,7 +11,7 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ..camera_imu.parameters import BoardPoints
-from ..camera_imu.terms.corner_sums import TWIST
+from ..camera_imu.terms.visual_terms import TWIST
 from .rig import BoardShape, CameraRig
 
 ASPECT, BOW, OFFSETS = "target.aspect", "target.bow", "target.offsets"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ..camera_imu.start.board_poses import SMALLEST_PX
-from ..camera_imu.terms.corner_sums import CornerSums
+from ..camera_imu.terms.visual_terms import CornerSums
 from .rig import CameraCorners, RigViews
 
 HUBER = 3.0

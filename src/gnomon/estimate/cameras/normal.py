@@ -17,7 +17,7 @@ from ...frozen import value_class
 from ...models.target import Target
 from ...recording import Floats
 from ..camera_imu.terms.board_terms import CornerProducts
-from ..camera_imu.terms.corner_sums import CornerNoise, CornerSums, corner_sums
+from ..camera_imu.terms.visual_terms import CornerNoise, CornerSums, corner_sums
 from .layout import POSE, SharedLayout, board_points
 from .rig import CameraCorners, CameraRig
 

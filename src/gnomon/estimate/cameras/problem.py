@@ -18,7 +18,7 @@ from ...errors import SolveError
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import Floats, Integers
-from ..camera_imu.terms.corner_sums import CornerNoise
+from ..camera_imu.terms.visual_terms import CornerNoise
 from ..trust.clusters import ClusterSums
 from .layout import ASPECT_SIGMA, SharedLayout, bow_sigma, lens_bounds, offsets_information
 from .noise import HUBER, bounded_sigma, relative_corner_sigmas, usual_sigma

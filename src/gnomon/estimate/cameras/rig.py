@@ -17,7 +17,7 @@ from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 from ...results.camera_diagnostics import SolverStep
 from ..camera_imu.start.board_poses import gather_exposures
-from ..camera_imu.terms.corner_sums import CornerSums, Exposures
+from ..camera_imu.terms.visual_terms import CornerSums, Exposures
 from ..trust.clusters import ClusterSums
 
 _APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras

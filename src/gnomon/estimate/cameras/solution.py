@@ -13,7 +13,7 @@ from ...errors import SolveError
 from ...frozen import value_class
 from ...recording import Floats
 from ...results.camera_diagnostics import SolverStep
-from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
+from ..camera_imu.terms.visual_terms import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
 from .normal import ReducedEquations, ViewNormalEquations, eliminate_poses, view_sums
 from .problem import OTHER_BOARD, Problem

@@ -28,7 +28,7 @@ from ...recording import Floats, Integers
 from ..camera_imu.start.alignment import gyroscope_integral
 from ..camera_imu.start.board_poses import BoardPoses
 from ..camera_imu.start.first_guess import ImuStream
-from ..camera_imu.terms.corner_sums import Exposures
+from ..camera_imu.terms.visual_terms import Exposures
 
 FEWEST_SHARED = 15
 """Points that two images must share."""

@@ -24,7 +24,6 @@ from ....recording import Floats, Integers
 from ..batch import RigState, error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, by_span, taken_together
-from ..terms.corner_sums import exposure_chunks
 from ..terms.inertial_terms import InertialData, InertialNoise, predicted_readings
 from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import BIAS, POSE, Bases
@@ -214,7 +213,7 @@ def counting_corners(solution: "Solution") -> list[CountingCorners]:
             where = where + parameters.board.offsets[exposures.point]
         size, every = len(where), exposures.of_corner
         counts, residual, on_board = np.zeros(size, dtype=bool), np.empty((size, 2)), np.empty((size, 2))
-        for first, last in exposure_chunks(exposures.start):
+        for first, last in exposures.chunks():
             at = slice(int(exposures.start[first]), int(exposures.start[last]))
             of = every[at]
             turned = R[of]

@@ -19,7 +19,7 @@ from ....geometry.rotation_vector import rotation_from_rotvec
 from ....models.camera import Camera
 from ....models.target import Target
 from ....recording import CameraFrames, Floats, Integers
-from ..terms.corner_sums import TWIST, CornerNoise, Exposures, corner_sums, frame_scatter
+from ..terms.visual_terms import TWIST, CornerNoise, Exposures, corner_sums, frame_scatter
 
 FEWEST_CORNERS = 6
 """A frame with fewer corners is not used: its pose is too uncertain to tell a wrong detection from a right one."""

@@ -29,8 +29,8 @@ from ..batch import RigState
 from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status
 from ..parameters import BoardPoints, CameraParameters, ImuParameters, RigParameters, gravity_axes
-from ..terms.corner_sums import Exposures
 from ..terms.inertial_terms import InertialData
+from ..terms.visual_terms import Exposures
 from .alignment import Alignment, align_camera, gyroscope_integral
 from .board_poses import BoardPoses, averaged_derivative, averaged_readings, board_poses, camera_accelerations
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory

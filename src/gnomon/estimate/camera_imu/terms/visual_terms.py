@@ -1,8 +1,15 @@
 """The error terms of the cameras (Krebs, section 4.1.2): e_c = h(T_cam_imu T_target_imu(t + d)^-1 p) - y.
 
-All corners of an exposure share one twist of the camera's frame, so their sum comes from `corner_sums`; here it is
-mapped to the unknowns. With x = p_cam_imu the origin of the IMU in the camera's frame, a turn about it by tau_r is the
-twist (tau_r, x x tau_r) about the camera's origin, and
+The corners of one instant move as a rigid body in the camera's frame. With p a corner in the camera's frame, h(p) its
+image and G = dh/dp, a small twist (rotation tau_r about the camera's origin, translation tau_t) moves the image by
+
+    dh = -G [p]x tau_r + G tau_t,
+
+whether the twist comes from the pose, the extrinsics, the time shift or the line delay. So the hundred corners of each
+exposure are summed up once, in the eight or so columns [-G [p]x | G | own parameters | residual | probe], which is all
+that the normal equations need of them (`corner_sums`), and mapped to the unknowns later. With x = p_cam_imu the origin
+of the IMU in the camera's frame, a turn about it by tau_r is the twist (tau_r, x x tau_r) about the camera's origin,
+and
 
     turning the body by d (right perturbation)     tau_r = -R_cam_imu d,
     moving the body by dp                          tau_t = -R_cam_imu R' dp,
@@ -20,13 +27,240 @@ import numpy as np
 from ....frozen import value_class
 from ....geometry.rotation_vector import skew
 from ....kernel import library
+from ....models.camera import Camera
 from ....recording import Floats, Integers
 from ..layout import BorderLayout
 from ..parameters import OFFSETS, CameraParameters, RigParameters
 from ..trajectory import POSE, Bases, MotionState, Trajectory
 from .assembly import Columns
 from .board_terms import CornerProducts, Coupling, PoseProducts, exposure_corners
-from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
+from .corner_rows import add_corner_rows
+
+_CHUNK = 8_000  # corners at a time; bounds the memory and stays in the cache
+
+TWIST = 6
+"""Columns of the twist: rotation and translation."""
+
+
+@value_class
+class Exposures:
+    """Corners of one camera, gathered by the instant of their exposure.
+
+    Attributes
+    ----------
+    frame : (e,) frame of each exposure
+    start : (e + 1,) first corner of each exposure, and their number
+    points : (m, 3) corners on the target [m]
+    pixels : (m, 2) detected [px]
+    delay_rows : (e,) image row that is exposed at this instant; zero for a global shutter
+    spread : (m,) standard deviation of each corner over that of a usual one, or None where all are alike
+    point : (m,) number of each corner on the target, or None where they are not asked for
+    """
+
+    frame: Integers
+    start: Integers
+    points: Floats
+    pixels: Floats
+    delay_rows: Floats
+    spread: Floats | None = None
+    point: Integers | None = None
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def of_corner(self) -> Integers:
+        """Exposure of each corner, (m,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.start))
+
+    def chunks(self) -> list[tuple[int, int]]:
+        """Return (first, last + 1) of consecutive exposures that have some thousand corners together."""
+        edges = [0]
+        while edges[-1] < len(self):
+            stop = int(np.searchsorted(self.start, self.start[edges[-1]] + _CHUNK, side="right")) - 1
+            edges.append(max(stop, edges[-1] + 1))
+        return list(pairwise(edges))
+
+
+@value_class
+class CornerNoise:
+    """How corners are weighed.
+
+    Attributes
+    ----------
+    sigma_px : standard deviation of a corner per axis
+    huber : distance in sigmas beyond which a corner counts less (Huber); infinite for least squares
+    probe_sign : (m, 2) random signs for the trace of the hat matrix, or None
+    """
+
+    sigma_px: float
+    huber: float
+    probe_sign: Floats | None = None
+
+
+@value_class
+class CornerSums:
+    """Sums of products over the corners of each exposure.
+
+    Attributes
+    ----------
+    sums : (e, w, w) products of the columns [twist 6 | own parameters | residual | probe, if any], in sigmas; or where
+        every exposure is a single corner, as with a rolling shutter, (e, 2, w) the columns themselves
+    cost : (e,) robust cost, half of chi-square for small residuals
+    corner_cost : (m,) the same of each corner; zero where not valid
+    mean_square : (e,) mean squared residual per axis [px^2]; nan without valid corners
+    valid : (e,) corners that the camera model can image
+    lengths : (e,) corners of each exposure
+    residual : (m, 2) predicted minus detected [px]; nan where not valid
+    weight : (m,) robust weight
+    spread : (m,) or 1.0, standard deviation of each corner over that of a usual one
+    """
+
+    sums: Floats
+    cost: Floats
+    corner_cost: Floats
+    mean_square: Floats
+    valid: Integers
+    lengths: Integers
+    residual: Floats
+    weight: Floats
+    spread: Floats | float = 1.0
+
+    @property
+    def gram(self) -> Floats:
+        """Products of the columns, (e, w, w)."""
+        return np.swapaxes(self.sums, 1, 2) @ self.sums if self._single else self.sums
+
+    def rows(self, chosen: Integers) -> Floats:
+        """Return rows (n, r, w) of some exposures whose products are the sums: few, however many corners there are."""
+        sums = self.sums[chosen]
+        return sums if self._single else _square_roots(sums)
+
+    @property
+    def _single(self) -> bool:
+        return self.sums.shape[1] != self.sums.shape[2]
+
+    @property
+    def comparable(self) -> Floats:
+        """Residuals (m, 2), those of uncertain corners made as small as the others' [px]."""
+        return self.residual / np.reshape(self.spread, (-1, 1))
+
+
+def corner_sums(
+    exposures: Exposures,
+    camera: Camera,
+    R_cam_target: Floats,
+    p_cam_target: Floats,
+    noise: CornerNoise,
+    *,
+    own_parameters: Integers | None = None,
+    target_scale: float = 1.0,
+    scale_column: bool = False,
+    shape: Floats | None = None,
+    offsets: CornerProducts | None = None,
+) -> CornerSums:
+    """Sum up the corners of every exposure.
+
+    Parameters
+    ----------
+    exposures : e of them
+    camera : lens and intrinsics
+    R_cam_target : (e, 3, 3), p_cam_target : (e, 3) [m] pose of the target in the camera's frame at each exposure
+    noise : weights
+    own_parameters : indices of `Camera.parameters` that get a column each
+    target_scale : size of the target relative to `exposures.points`
+    scale_column : give it a column, after the own parameters
+    shape : (k, m, 3) where on the target, per unit, each corner moves with each of k parameters of the target's shape
+        that get a column, after the scale's; or None
+    offsets : takes the products with the offset of each corner, where these are wanted
+    """
+    own = np.empty(0, np.int64) if own_parameters is None else own_parameters
+    bends = 0 if shape is None else len(shape)
+    width = TWIST + len(own) + scale_column + bends + 1 + (noise.probe_sign is not None)
+    count = len(exposures)
+    single = bool((np.diff(exposures.start) == 1).all())
+    sums = np.zeros((count, 2 if single else width, width))
+    cost, square = np.zeros(count), np.full(count, np.nan)
+    valid = np.zeros(count, np.int64)
+    residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
+    if width <= library.MOST_COLUMNS and library.load_kernel() is not None:
+        library.add_corner_sums(
+            start=exposures.start,
+            pose=(R_cam_target, p_cam_target),
+            points=exposures.points,
+            pixels=exposures.pixels,
+            lens=camera.packed(),
+            own=own,
+            scale=target_scale,
+            scale_column=scale_column,
+            shape=shape,
+            spread=exposures.spread,
+            sign=noise.probe_sign,
+            sigma_px=noise.sigma_px,
+            huber=noise.huber,
+            sums=sums,
+            of_exposure=(cost, square, valid),
+            of_corner=(each, weight, residual),
+            offsets=None if offsets is None else offsets.taking(),
+        )
+    else:
+        add_corner_rows(
+            exposures,
+            camera,
+            (R_cam_target, p_cam_target),
+            noise,
+            own,
+            target_scale=target_scale,
+            scale_column=scale_column,
+            shape=shape,
+            sums=sums,
+            of_exposure=(cost, square, valid),
+            of_corner=(each, weight, residual),
+            offsets=offsets,
+        )
+    return CornerSums(
+        sums=sums,
+        cost=cost,
+        corner_cost=each,
+        mean_square=square,
+        valid=valid,
+        lengths=np.diff(exposures.start),
+        residual=residual,
+        spread=1.0 if exposures.spread is None else exposures.spread,
+        weight=weight,
+    )
+
+
+def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> Floats:
+    """Return the variance of the corners of every frame per axis, (frames,) [px^2]; nan where nothing was imaged.
+
+    It comes from the median squared distance, 2 ln 2 sigma^2 for a normal distribution: wrong corners do not count.
+
+    Parameters
+    ----------
+    known : (e,) exposures whose sums mean something
+    """
+    corner = np.repeat(known, sums.lengths) & np.isfinite(sums.residual[:, 0])
+    frame = np.repeat(exposures.frame, sums.lengths)[corner]
+    comparable = sums.comparable[corner]
+    order = np.argsort(frame, kind="stable")  # frames of a rolling shutter come row by row
+    frame, squared = frame[order], np.einsum("ij,ij->i", comparable, comparable)[order]
+    found = np.full(int(exposures.frame.max()) + 1, np.nan)
+    counts = np.bincount(frame, minlength=len(found))
+    some = np.flatnonzero(counts)
+    by_frame = np.full((len(found), int(counts.max(initial=0))), np.inf)
+    by_frame[frame, np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)] = squared
+    by_frame.sort(axis=1)
+    found[some] = by_frame[some, counts[some] // 2] / (2 * np.log(2))
+    return found
+
+
+def _square_roots(gram: Floats) -> Floats:
+    """Return rows (e, w, w) whose products are the sums: as many rows as columns instead of two a corner."""
+    diagonal = np.einsum("nii->ni", gram)
+    w = gram.shape[1]
+    eased = gram + (1e-13 * diagonal + 1e-30)[:, :, None] * np.eye(w)
+    return np.swapaxes(np.linalg.cholesky(eased), 1, 2)
 
 
 @value_class
