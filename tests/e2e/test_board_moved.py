@@ -8,7 +8,7 @@ import pytest
 
 from gnomon import CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
 from gnomon.assess.cameras.rig_residuals import judged_again
-from gnomon.assess.checks.board_turn import BoardMove, BoardTurns, board_move
+from gnomon.assess.checks.board_views import BoardMove, BoardTurns, board_move
 from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec

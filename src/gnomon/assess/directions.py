@@ -13,10 +13,8 @@ from ..frozen import value_class
 from ..recording import Floats, Integers
 
 Kind = Literal["rotation", "translation", "time_shift", "gyroscope", "g_sensitivity", "accelerometer"]
-
 _CAMERA_AXES = ("x axis (right)", "y axis (down)", "optical axis")
 _IMU_AXES = ("x axis", "y axis", "z axis")
-
 _ALONG = 0.9
 """Cosine from which on a direction is called by the name of an axis."""
 

@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_limits
 from ..assess.cameras.added_parts import added_findings, delays_found, misfits_found, out_of_order, steps_left_out
 from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
 from ..assess.cameras.camera_imu_verdict import assess_camera_imu, camera_imu_weak
-from ..assess.cameras.camera_views import without_copies
 from ..assess.cameras.rig_residuals import judged_again, unmodelled_effects
 from ..assess.changes import with_changes
+from ..assess.checks.board_views import without_copies
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.needs import with_precision
 from ..assess.priors import Priors, prior_used, refuse_own_data
@@ -181,9 +181,10 @@ def _calibrated(  # noqa: PLR0917
 def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) -> RigBeforehand:
     """Return how cameras and IMUs lie to each other, in space and time, from the rotation that all of them felt."""
     streams = [imu_stream(prepared.inertial, i) for i in range(len(prepared.imus))]
-    cameras, ends = number_cameras_alike(recording.cameras, target, prepared.origin_ns, streams[0])
-    recording = replace(recording, cameras=cameras)
-    prepared = replace(prepared, findings=(*prepared.findings, *ends))
+    if target.kind in ("checkerboard", "circlegrid"):  # whose ends may look the same
+        cameras, ends = number_cameras_alike(recording.cameras, target, prepared.origin_ns, streams[0])
+        recording = replace(recording, cameras=cameras)
+        prepared = replace(prepared, findings=(*prepared.findings, *ends))
     try:
         found = align_cameras(recording.cameras, target, prepared.origin_ns, streams[0])
         beside = ()

@@ -9,11 +9,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..assess.cameras.camera_synchronism import JointResiduals, check_synchronism
-from ..assess.cameras.camera_views import without_copies
 from ..assess.cameras.cameras_tables import CamerasFitSummary, LensOpinion, describe_cameras
 from ..assess.cameras.cameras_verdict import assess_cameras
 from ..assess.changes import with_changes
-from ..assess.checks.camera_checks import check_views
+from ..assess.checks.board_views import without_copies
+from ..assess.checks.rig_doctor import check_views
 from ..assess.verdict import comparison_left_out, uncertainty_summary
 from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.first_rig import held_out_residuals

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..assess.cameras.camera_views import FEWEST_CORNERS
 from ..assess.cameras.cameras_verdict import unseen_corners
+from ..assess.checks.board_views import FEWEST_CORNERS
 from ..assess.checks.image_checks import BLURRED_PX, BRIGHT, DARK, ImageStatistics
 from ..detect.boards.board import NOT_WITH_NEIGHBOURS, BoardView
 from ..estimate.camera_imu.start.board_poses import gather_exposures, homography_poses

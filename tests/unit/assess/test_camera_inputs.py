@@ -8,8 +8,8 @@ import pytest
 
 import gnomon
 from gnomon.assess.cameras.camera_synchronism import JointResiduals, check_synchronism
-from gnomon.assess.cameras.camera_views import without_copies
-from gnomon.assess.checks.camera_checks import check_views
+from gnomon.assess.checks.board_views import without_copies
+from gnomon.assess.checks.rig_doctor import check_views
 from gnomon.simulate.scenarios.cameras import CamerasScenario
 
 OPTIONS = gnomon.CameraOptions(model=("pinhole-radtan",), board="stated")

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.clock_checks import check_clocks, check_epochs, fit_clock
+from gnomon.assess.checks.clock_checks import check_epochs
+from gnomon.assess.checks.recorder_clocks import check_clocks, fit_clock
 from gnomon.recording.frames import Arrivals
 
 EPOCH = 1_600_000_000_000_000_000

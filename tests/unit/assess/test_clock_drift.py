@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.checks.clock_drift import check_drift, clock_drift
+from gnomon.assess.checks.clock_checks import check_drift, clock_drift
 from gnomon.assess.checks.rig_checks import check_recording_rig
 from gnomon.errors import RecordingError
 from gnomon.estimate.camera_imu.start.board_poses import board_poses

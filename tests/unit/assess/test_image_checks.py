@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.camera_checks import check_cameras
 from gnomon.assess.checks.image_checks import (
     BLURRED_PX,
     BoardDetections,
@@ -14,6 +13,7 @@ from gnomon.assess.checks.image_checks import (
     check_sight,
     corner_boxes,
 )
+from gnomon.assess.checks.rig_streams import check_cameras
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, FrameQuality, Recording

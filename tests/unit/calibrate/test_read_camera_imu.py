@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import gnomon
-from gnomon.assess.checks.camera_checks import check_cameras
+from gnomon.assess.checks.rig_streams import check_cameras
 from gnomon.errors import FormatError, GnomonError, OptionError, RecordingError
 from gnomon.readers.samples.recognise import gyroscope_unit_in_motion
 

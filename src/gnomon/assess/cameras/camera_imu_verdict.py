@@ -15,7 +15,7 @@ from ...recording import Floats
 from ...results.calibration import Assessment, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics, EstimatedParameter, NoiseLevel
 from ...results.trust import WeakDirection
-from ..checks.clock_drift import check_drift
+from ..checks.clock_checks import check_drift
 from ..directions import across_words, axis_words
 from ..observability import PLACES_AND_CLOCKS, known_of, weak_directions, weak_findings
 from ..verdict import grade_by_limits, gravity_findings, most_severe, with_verdict

@@ -9,9 +9,9 @@ from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Assessment, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, CornerFit
-from ..checks.camera_checks import ENOUGH_VIEWS
+from ..checks.board_views import image_coverage
+from ..checks.rig_doctor import ENOUGH_VIEWS
 from ..verdict import grade_by_limits, most_severe, parts_disagree, underestimated_blocks, with_verdict
-from .camera_views import image_coverage
 from .cameras_tables import MISFIT, CamerasFitSummary, LensOpinion
 from .rig_residuals import outlying_corners
 

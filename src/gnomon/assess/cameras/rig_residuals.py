@@ -18,7 +18,7 @@ from ...findings import Finding, make_finding
 from ...recording import Floats, Integers
 from ...results.camera_diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit, SignalFit
 from ...results.result import Booleans
-from ..checks.board_turn import BoardMove, moved_finding
+from ..checks.board_views import BoardMove, moved_finding
 from .camera_imu_tables import MISFIT
 
 _FAR = 5.0  # sigmas

@@ -1,128 +1,35 @@
-"""The data doctor's look at the clocks of several streams: one unit, one epoch, one rate, no jump.
+"""The clocks of cameras and IMUs: one unit, one epoch, and no drift between them by the rotation that both felt.
 
-A recorder that notes when each message arrived lends all streams one clock to be compared with. A message arrives after
-it was stamped, by a delay that never falls below some least one: the lower envelope of arrival less timestamp is a
-straight line whose slope is the drift between both clocks, however late single messages are.
+For the drift the recording is cut into stretches. In each the time shift is corrected so that the gyroscope explains
+the camera's rotation best, with a bias of its own; a line through these shifts is the drift, and their scatter about it
+tells how certain it is, whatever makes them scatter.
+
+A few seconds tell before there are enough stretches: the attitude that a camera saw in each frame is held against the
+one that the gyroscope leads to from the first. Those have errors of their own, while differences of neighbouring frames
+share them, and tell a drift several times worse. What the gyroscope's scales, axes and bias, the first frame and the
+time shift do is estimated beside the drift.
 """
 
-import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_integral
+from ...estimate.camera_imu.start.board_poses import BoardPoses
+from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...findings import Finding, make_finding
 from ...frozen import value_class
+from ...geometry.rotation_vector import nearest_rotation, rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers
-from ...recording.frames import Arrivals
+from .rig_axes import rate_at
 
 DRIFT_PPM, SIGMAS = 20.0, 3.0
 """Drift from which on it is told: 20 ppm are 1.2 ms a minute, a hundred times the uncertainty of a time shift."""
 
-_FEWEST = 20
-_SHORTEST_S = 5.0
-_BINS = 40
-_LEAST_SIGMA_S = 1e-6  # timestamps are no better
-_JUMP_S = 0.02
-_JUMP_SIGMAS = 10.0
-_JUMP_REACH_S = 2.0  # a queue that held messages is empty again after this time
-_TOGETHER_S = 3.0
-_SAME_JUMP = 0.2
 _UNIX_S = (1e9, 4e9)  # 2001 to 2096
 _FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _NEAR_FACTOR = 0.2
-
-
-@value_class(eq=True)
-class ClockFit:
-    """One stream's clock against the recorder's.
-
-    Attributes
-    ----------
-    slope : seconds by which the recorder's clock gains on the stream's, in a second
-    sigma : its standard deviation
-    spread_s : half of the messages came later than the earliest ones by this or more
-    latest_s : by which the latest came later
-    """
-
-    slope: float
-    sigma: float
-    spread_s: float
-    latest_s: float
-
-
-@value_class(eq=True)
-class _Jump:
-    """A step of arrival less timestamp: when on the recorder's clock [s from `origin`], and by how much [s]."""
-
-    at_s: float
-    size_s: float
-
-
-def check_clocks(arrivals: Mapping[str, Arrivals]) -> tuple[Finding, ...]:
-    """Look at the clocks of streams that one recorder recorded.
-
-    Codes: clock, clock-copied, clock-jump, clock-drift, stamps-zero, stamps-unit.
-
-    Parameters
-    ----------
-    arrivals : "cam0", "imu0", ... -> timestamps and arrivals
-    """
-    findings: list[Finding] = []
-    fits: dict[str, ClockFit] = {}
-    jumps: dict[str, tuple[_Jump, ...]] = {}
-    for name, stream in arrivals.items():
-        wrong = _wrong_stamps(name, stream)
-        if wrong is not None:
-            findings.append(wrong)
-        elif _usable(stream):
-            jumps[name] = _jumps(stream)
-            if not jumps[name]:
-                fits[name] = fit_clock(stream)
-    findings += _copied([name for name, stream in arrivals.items() if _is_copied(stream)])
-    findings += _jump_findings(jumps, arrivals)
-    for name, fit in fits.items():
-        findings += [
-            make_finding(
-                "clock/recorder",
-                name=name,
-                slope=fit.slope,
-                sigma=fit.sigma,
-                spread=_time(fit.spread_s),
-                latest=_time(fit.latest_s),
-            )
-        ]
-    return (*findings, *_drifts(fits, arrivals))
-
-
-def _usable(stream: Arrivals) -> bool:
-    """Tell whether a stream is long enough, and its timestamps are not the arrivals themselves."""
-    if len(stream.t_ns) < _FEWEST or _is_copied(stream):
-        return False
-    return float(np.ptp(stream.received_ns)) * 1e-9 >= _SHORTEST_S and float(np.ptp(stream.t_ns)) > 0
-
-
-def _is_copied(stream: Arrivals) -> bool:
-    return len(stream.t_ns) >= _FEWEST and np.array_equal(stream.t_ns, stream.received_ns)
-
-
-def _copied(names: list[str]) -> list[Finding]:
-    """Say whose timestamps are those of arrival."""
-    if not names:
-        return []
-    return [make_finding("clock-copied", names=", ".join(names))]
-
-
-def _wrong_stamps(name: str, stream: Arrivals) -> Finding | None:
-    """Return what is wrong with timestamps as such."""
-    count = len(stream.t_ns)
-    zero = zero_stamps(name, stream.t_ns)
-    if zero is not None or count < _FEWEST or _is_copied(stream):
-        return zero
-    stamped, received = (float(np.ptp(t)) * 1e-9 for t in (stream.t_ns, stream.received_ns))
-    factor = _factor(stamped / received) if received > 0 and stamped > 0 else None
-    if factor is None:
-        return None
-    return make_finding("stamps-unit/received", name=name, stamped=stamped, received=received, factor=factor)
 
 
 def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
@@ -133,133 +40,10 @@ def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
     return make_finding("stamps-zero", name=name, zero=zero, messages=len(t_ns))
 
 
-def _factor(ratio: float) -> float | None:
+def unit_factor(ratio: float) -> float | None:
     """Return by which unit timestamps are off, 1e3 where microseconds were taken for nanoseconds; None where fine."""
     near = [f for f in _FACTORS if abs(ratio * f - 1) < _NEAR_FACTOR]
     return near[0] if near else None
-
-
-# ---- one stream against the recorder ----
-
-
-def fit_clock(stream: Arrivals) -> ClockFit:
-    """Return the drift of a stream's clock against the recorder's, by the lower envelope of the delays."""
-    t, delay = _delays(stream)
-    at, least = _envelope(t, delay)
-    slope = _median_slope(at, least)
-    rest = least - slope * at
-    rest = rest - np.median(rest)
-    scatter = 1.4826 * float(np.median(np.abs(rest)))
-    # Slow changes of the least delay make neighbours alike: fewer of them are independent.
-    together = float(np.clip(rest[1:] @ rest[:-1] / max(float(rest @ rest), 1e-300), 0.0, 0.9))
-    scatter = max(scatter, _LEAST_SIGMA_S) * np.sqrt((1 + together) / (1 - together))
-    spread = at - at.mean()
-    above = delay - slope * t
-    above = above - np.quantile(above, 0.01)
-    return ClockFit(
-        slope=slope,
-        sigma=1.25 * scatter / float(np.sqrt(spread @ spread)),  # a median is less certain than a mean
-        spread_s=float(np.median(above)),
-        latest_s=float(above.max()),
-    )
-
-
-def _delays(stream: Arrivals) -> tuple[Floats, Floats]:
-    """Return timestamps and arrival less timestamp, both from their first value, in the order of arrival [s]."""
-    order = np.argsort(stream.received_ns, kind="stable")
-    stamped, received = stream.t_ns[order], stream.received_ns[order]
-    delay = received - stamped  # integers: unix nanoseconds do not fit into floats
-    return (received - received[0]) * 1e-9, (delay - delay[0]) * 1e-9
-
-
-def _envelope(t: Floats, delay: Floats) -> tuple[Floats, Floats]:
-    """Return the earliest message of each of equal groups: when, and its delay."""
-    count = min(_BINS, len(t) // 5)
-    edges = np.linspace(0, len(t), count + 1).astype(np.int64)
-    earliest = np.array([a + int(np.argmin(delay[a:b])) for a, b in itertools.pairwise(edges)])
-    return t[earliest], delay[earliest]
-
-
-def _median_slope(x: Floats, y: Floats) -> float:
-    """Return the median slope between all pairs (Theil and Sen): a third of the points may be anywhere."""
-    first, second = np.triu_indices(len(x), 1)
-    step = x[second] - x[first]
-    far = step > 0
-    return float(np.median((y[second] - y[first])[far] / step[far])) if far.any() else 0.0
-
-
-def _jumps(stream: Arrivals) -> tuple[_Jump, ...]:
-    """Return where the delay steps to another level and stays there: late messages come back, clocks do not."""
-    t, delay = _delays(stream)
-    at, least = _windows(t, delay)
-    if len(at) < 6:
-        return ()
-    steps = np.diff(least)
-    usual = float(np.median(steps))
-    scatter = 1.4826 * float(np.median(np.abs(steps - usual)))
-    limit = max(_JUMP_S, _JUMP_SIGMAS * scatter)
-    found: list[_Jump] = []
-    for k in np.flatnonzero(np.abs(steps - usual) > limit).tolist():
-        # Compare levels two windows before with two windows after: a hold-up has passed by then.
-        before, after = least[max(k - 1, 0) : k + 1].min(), least[k + 1 : k + 3].min()
-        size = float(after - before)
-        again = found and at[k + 1] - found[-1].at_s <= 2 * _JUMP_REACH_S  # the same one, seen twice
-        if abs(size) > limit and k + 2 < len(least) and not again:
-            found.append(_Jump(at_s=float(at[k + 1]), size_s=size))
-    return tuple(found)
-
-
-def _windows(t: Floats, delay: Floats) -> tuple[Floats, Floats]:
-    """Return the least delay in each stretch of two seconds, with the time where the stretch begins."""
-    window = np.floor(t / _JUMP_REACH_S).astype(np.int64)
-    first = np.flatnonzero(np.concatenate([[True], np.diff(window) > 0]))
-    enough = np.diff(np.append(first, len(t))) >= 3
-    return t[first][enough], np.minimum.reduceat(delay, first)[enough]
-
-
-# ---- what is said ----
-
-
-def _jump_findings(jumps: Mapping[str, tuple[_Jump, ...]], arrivals: Mapping[str, Arrivals]) -> list[Finding]:
-    """Say which clocks jumped; a jump of all streams at once is the recorder's, and harms nothing."""
-    findings: list[Finding] = []
-    for name, found in jumps.items():
-        for jump in found:
-            shared = len(jumps) > 1 and all(_has(jump, name, jumps[other], other, arrivals) for other in jumps)
-            if shared and name != next(iter(jumps)):
-                continue
-            findings.append(
-                make_finding("clock-jump/recorder", size_s=jump.size_s, at_s=jump.at_s)
-                if shared
-                else make_finding("clock-jump/stream", name=name, size_s=-jump.size_s, at_s=jump.at_s)
-            )
-    return findings
-
-
-def _has(jump: _Jump, name: str, others: tuple[_Jump, ...], other: str, arrivals: Mapping[str, Arrivals]) -> bool:
-    origin = float(int(arrivals[name].received_ns.min()) - int(arrivals[other].received_ns.min())) * 1e-9
-    return any(
-        abs(one.at_s - origin - jump.at_s) < _TOGETHER_S
-        and abs(one.size_s - jump.size_s) < _SAME_JUMP * abs(jump.size_s)
-        for one in others
-    )
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds * 1e3:.2g} ms" if seconds < 1 else f"{seconds:.2g} s"
-
-
-def _drifts(fits: Mapping[str, ClockFit], arrivals: Mapping[str, Arrivals]) -> list[Finding]:
-    """Compare each camera with each IMU, or every two streams where there are no such names."""
-    pairs = [(a, b) for a in fits for b in fits if a.startswith("cam") and b.startswith("imu")]
-    findings: list[Finding] = []
-    for camera, imu in pairs:
-        drift = fits[camera].slope - fits[imu].slope
-        sigma = float(np.hypot(fits[camera].sigma, fits[imu].sigma))
-        length_s = float(np.ptp(arrivals[camera].received_ns)) * 1e-9
-        finding = drift_finding(camera, imu, drift=drift, sigma=sigma, length_s=length_s, how="by when they arrived")
-        findings += [] if finding is None else [finding]
-    return findings
 
 
 def drift_finding(camera: str, imu: str, *, drift: float, sigma: float, length_s: float, how: str) -> Finding | None:
@@ -286,9 +70,6 @@ def drift_finding(camera: str, imu: str, *, drift: float, sigma: float, length_s
     )
 
 
-# ---- streams against each other ----
-
-
 def check_epochs(stamps: Mapping[str, Integers]) -> tuple[Finding, ...]:
     """Look at the timestamps of all streams together: one unit, one epoch.
 
@@ -312,7 +93,7 @@ def _units_apart(stamps: Mapping[str, Integers]) -> list[Finding]:
     findings: list[Finding] = []
     for name, t in stamps.items():
         own = float(np.ptp(t)) * 1e-9
-        factor = _factor(own / length) if name != reference else None
+        factor = unit_factor(own / length) if name != reference else None
         if factor is not None:
             findings.append(
                 make_finding(
@@ -335,3 +116,272 @@ def _epochs_apart(stamps: Mapping[str, Integers]) -> list[Finding]:
     since_1970 = ", ".join(name for name, yes in unix.items() if yes)
     since_start = ", ".join(name for name, yes in unix.items() if not yes)
     return [make_finding("stamps-epoch", since_1970=since_1970, since_start=since_start)]
+
+
+_STEP_S, _LONGEST_STEP_S = 0.1, 0.35
+
+
+_STRETCHES = 20
+
+
+_FEWEST_TURNS, _FEWEST_STRETCHES = 25, 10
+
+
+_ROUNDS, _PASSES = 3, 2
+
+
+_ROBUST = 3.0
+
+
+_LARGEST_S = 0.05  # a correction beyond this is no small one
+
+
+@value_class
+class ClockDrift:
+    """How the time shift of one camera changes.
+
+    Attributes
+    ----------
+    t_s : (k,) middle of the stretches [s]
+    shift_s : (k,) correction of the time shift there
+    sigma_s : (k,) its standard deviation, by the rotations of the stretch
+    drift : growth of the time shift t_imu - t_cam in a second
+    sigma : its standard deviation, by the scatter of the stretches
+    """
+
+    t_s: Floats
+    shift_s: Floats
+    sigma_s: Floats
+    drift: float
+    sigma: float
+
+
+def look_at_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Say whether a camera's clock drifts against that of the IMU (codes clock, clock-drift); as `check_drift`."""
+    drift = clock_drift(poses, stream, time_shift_s)
+    if drift is None:
+        return early_drift(name, poses, stream, time_shift_s, imu)
+    return [
+        _warning(name, imu, poses, drift)
+        or make_finding("clock/together", name=name, imu=imu, drift=drift.drift, sigma=drift.sigma)
+    ]
+
+
+def check_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Return a warning where a camera's clock drifts against the IMU's (code clock-drift).
+
+    Parameters
+    ----------
+    name : of the camera
+    poses, stream, time_shift_s : see `clock_drift`
+    imu : name of the IMU
+    """
+    drift = clock_drift(poses, stream, time_shift_s)
+    found = None if drift is None else _warning(name, imu, poses, drift)
+    return [] if found is None else [found]
+
+
+def _warning(name: str, imu: str, poses: BoardPoses, drift: ClockDrift) -> Finding | None:
+    length_s = float(poses.t_s[-1] - poses.t_s[0])
+    how = "by the rotation that both felt"
+    return drift_finding(name, imu, drift=drift.drift, sigma=drift.sigma, length_s=length_s, how=how)
+
+
+def clock_drift(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> ClockDrift | None:
+    """Return the drift of a camera's clock against the IMU's; None where too little turned to tell.
+
+    Parameters
+    ----------
+    poses : of the target in the camera's frame, at the camera's timestamps
+    stream : of the IMU
+    time_shift_s : t_imu = t_cam + time_shift_s, to some milliseconds
+    """
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    found: ClockDrift | None = None
+    for _ in range(_PASSES):  # what was found first is taken out, so that the rest is small and nothing counts as wrong
+        drift = 0.0 if found is None else found.drift
+        turns = _turns(poses, time_shift_s, drift, integral)
+        rest = _remaining(turns, integral, stream)
+        if rest is None:
+            return None
+        found = replace(rest, drift=rest.drift + drift, shift_s=rest.shift_s + drift * (rest.t_s - _middle(poses)))
+    return found
+
+
+def _remaining(turns: "_Turns", integral: GyroscopeIntegral, stream: ImuStream) -> ClockDrift | None:
+    if len(turns.start_s) < _FEWEST_TURNS * _FEWEST_STRETCHES:
+        return None
+    gyro = (integral(turns.stop_s) - integral(turns.start_s)) / turns.length_s
+    change = (rate_at(stream, turns.stop_s) - rate_at(stream, turns.start_s)) / turns.length_s
+    matrix, weight = _explained(turns.rate, gyro, change)
+    rest = gyro - turns.rate @ matrix[:3]
+    count = min(_STRETCHES, len(rest) // _FEWEST_TURNS)
+    middle = 0.5 * (turns.start_s + turns.stop_s) - turns.shift_s
+    parts = [_stretch(middle[k], rest[k], change[k], weight[k]) for k in np.array_split(np.arange(len(rest)), count)]
+    known = [part for part in parts if part is not None]
+    if len(known) < _FEWEST_STRETCHES:
+        return None
+    t, shift, sigma = np.array(known).T
+    return _line(t, shift, sigma)
+
+
+def _middle(poses: BoardPoses) -> float:
+    return 0.5 * float(poses.t_s[0] + poses.t_s[-1])
+
+
+@value_class
+class _Turns:
+    """Rotations of the camera: from when to when on the IMU's clock [s], the mean rate [rad/s], the shift taken [s]."""
+
+    start_s: Floats
+    stop_s: Floats
+    rate: Floats
+    shift_s: float
+
+    @property
+    def length_s(self) -> Floats:
+        return (self.stop_s - self.start_s)[:, None]
+
+
+def _turns(poses: BoardPoses, time_shift_s: float, drift: float, integral: GyroscopeIntegral) -> _Turns:
+    steps = np.diff(poses.t_s)
+    stride = max(1, round(_STEP_S / max(float(np.median(steps)), 1e-6))) if len(steps) else 1
+    t_s = poses.t_s + time_shift_s + drift * (poses.t_s - _middle(poses)) if len(poses) else poses.t_s
+    start, stop = t_s[:-stride], t_s[stride:]
+    between = poses.R_cam_target[:-stride] @ np.swapaxes(poses.R_cam_target[stride:], 1, 2)
+    rotvec = rotvec_from_rotation(between)
+    inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
+    kept = inside & (stop > start) & (stop - start < _LONGEST_STEP_S) & (np.linalg.norm(rotvec, axis=1) < 2.0)
+    start, stop = start[kept], stop[kept]
+    return _Turns(start_s=start, stop_s=stop, rate=rotvec[kept] / (stop - start)[:, None], shift_s=time_shift_s)
+
+
+def _explained(camera: Floats, gyro: Floats, change: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix (4, 3) that explains the gyroscope, and which turns it explains (n,), 0 or 1.
+
+    It is a full matrix, so that scales and axes of the gyroscope need not be known, and a bias.
+    """
+    weight = np.ones(len(gyro))
+    base = np.concatenate([camera, np.ones((len(camera), 1))], axis=1)
+    shift = 0.0
+    matrix: Floats = np.zeros((4, 3))
+    for _ in range(_ROUNDS):
+        wanted = weight[:, None] * (gyro + shift * change)
+        matrix = np.asarray(np.linalg.lstsq(weight[:, None] * base, wanted, rcond=None)[0], dtype=np.float64)
+        rest = gyro + shift * change - base @ matrix
+        used = weight > 0
+        shift -= float((change[used] * rest[used]).sum() / max(float((change[used] ** 2).sum()), 1e-30))
+        error = np.linalg.norm(rest, axis=1)
+        weight = (error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-6).astype(np.float64)
+    return matrix, weight
+
+
+def _stretch(middle: Floats, rest: Floats, change: Floats, weight: Floats) -> tuple[float, float, float] | None:
+    """Return when, the correction of the time shift and its standard deviation, of one stretch."""
+    used = weight > 0
+    if used.sum() < _FEWEST_TURNS / 2:
+        return None
+    rest, change = rest[used] - rest[used].mean(axis=0), change[used] - change[used].mean(axis=0)
+    energy = float((change**2).sum())
+    if energy <= 0:
+        return None
+    shift = -float((change * rest).sum()) / energy
+    left = rest + shift * change
+    sigma = float(np.sqrt((left**2).mean() / energy))
+    if not (np.isfinite(shift) and 0 < sigma < _LARGEST_S and abs(shift) < _LARGEST_S):
+        return None
+    return float(middle[used].mean()), shift, sigma
+
+
+def _line(t: Floats, shift: Floats, sigma: Floats) -> ClockDrift:
+    """Return the line through the shifts, each weighed by its own sigma, with a floor that their scatter sets."""
+    weight, drift, rest = 1 / sigma**2, 0.0, shift
+    for _ in range(_ROUNDS):
+        x = t - float(weight @ t / weight.sum())
+        drift = float(weight @ (x * shift)) / float(weight @ (x * x))
+        rest = shift - float(weight @ shift / weight.sum()) - drift * x
+        floor = 1.4826 * float(np.median(np.abs(rest)))
+        weight = 1 / (sigma**2 + (0.5 * floor) ** 2)
+    # Neighbouring turns share a pose, whose error cancels in their sum: the stretches' own sigmas are too large, but
+    # the scatter about the line tells. Of so few it is itself uncertain, hence four and not two degrees of freedom.
+    excess = float(weight @ (rest * rest)) / (len(t) - 4)
+    x = t - float(weight @ t / weight.sum())
+    found = float(np.sqrt(excess / float(weight @ (x * x))))
+    return ClockDrift(t_s=t, shift_s=shift, sigma_s=sigma, drift=drift, sigma=found)
+
+
+_FEWEST_FRAMES, _ATTITUDE_ROUNDS, _ATTITUDE_ROBUST = 26, 3, 3.5
+
+
+_EXPLAINED, _ALIKE = 0.999, 0.9
+
+
+_FAST, _SIGMAS = 5e-3, 5.0
+
+
+def early_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Say that a camera's clock drifts by several parts in a thousand against the IMU's (code clock-drift).
+
+    Parameters
+    ----------
+    name, imu : of camera and IMU
+    poses, stream, time_shift_s : as of `clock_drift`
+    """
+    found = drift_by_attitudes(poses, stream, time_shift_s)
+    if found is None or abs(found[0]) < max(_FAST, _SIGMAS * found[1]):
+        return []
+    drift, sigma = found
+    length_s = float(poses.t_s[-1] - poses.t_s[0])
+    growth_s = drift * length_s
+    return [
+        make_finding(
+            "clock-drift/far", camera=name, imu=imu, drift=drift, sigma=sigma, growth_s=growth_s, length_s=length_s
+        )
+    ]
+
+
+def drift_by_attitudes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[float, float] | None:
+    """Return the drift of the time shift by single attitudes, and its sigma; None of few, or unexplained ones."""
+    at = poses.t_s + time_shift_s
+    inside = (at > stream.t_s[0]) & (at < stream.t_s[-1])
+    at, R = at[inside], poses.R_cam_target[inside]
+    if len(at) < _FEWEST_FRAMES:
+        return None
+    turned, wanted, design = _errors(at, R, stream)
+    used, error, solution = np.ones(len(at), dtype=bool), wanted, np.zeros(design.shape[2])
+    for _ in range(_ATTITUDE_ROUNDS):
+        solution = np.linalg.lstsq(design[used].reshape(-1, design.shape[2]), wanted[used].ravel(), rcond=None)[0]
+        error = wanted - design @ solution
+        size = np.linalg.norm(error, axis=1)
+        used = size < _ATTITUDE_ROBUST * 1.4826 * float(np.median(size)) + 1e-9
+    rows, error = design[used].reshape(-1, design.shape[2]), error[used]
+    if float((error**2).sum()) > (1 - _EXPLAINED) * float((turned**2).sum()):
+        return None
+    alike = float((error[1:] * error[:-1]).sum() / (error**2).sum()) + rows.shape[1] / rows.shape[0]
+    alike = min(max(alike, 0.0), _ALIKE)  # as an autoregression: errors of a lens last
+    variance = float((error**2).sum()) / max(len(rows) - rows.shape[1], 1) * (1 + alike) / (1 - alike)
+    return float(solution[0]), float(np.sqrt(variance * np.linalg.pinv(rows.T @ rows)[0, 0]))
+
+
+def _errors(at: Floats, R_cam_target: Floats, stream: ImuStream) -> tuple[Floats, Floats, Floats]:
+    """Return turns since the first frame (n, 3), by what the gyroscope's differ (n, 3), and its causes (n, 3, 17)."""
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    steps, rate = np.diff(integral(at), axis=0), rate_at(stream, at)
+    seen = rotvec_from_rotation(R_cam_target[:-1] @ np.swapaxes(R_cam_target[1:], 1, 2))
+    X = nearest_rotation(seen.T @ steps)  # from the IMU's axes to the camera's
+    steps, rate = steps @ X.T, rate @ X.T
+    each = rotation_from_rotvec(-steps)
+    predicted, carried = R_cam_target[0], np.zeros((3, 15))
+    carried[:, 12:] = np.eye(3)
+    off, causes, length = [np.zeros(3)], [carried], np.diff(at)
+    for k, turn in enumerate(each):
+        middle = rotation_from_rotvec(-0.5 * steps[k])
+        added = np.concatenate([np.kron(np.eye(3), steps[k]), length[k] * np.eye(3)], axis=1)
+        predicted, carried = turn @ predicted, turn @ carried
+        carried[:, :12] += middle @ added
+        off.append(rotvec_from_rotation(predicted @ R_cam_target[k + 1].T))
+        causes.append(carried)
+    t = at - at.mean()
+    by_clock = np.stack([t[:, None] * rate, rate], axis=2)
+    turned = rotvec_from_rotation(R_cam_target @ R_cam_target[0].T)
+    return turned, np.array(off), np.concatenate([by_clock, np.array(causes)], axis=2)

@@ -27,7 +27,7 @@ from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats
 from ...results.result import Booleans
 from ...solve.lapack import solve_banded
-from .board_turn import BoardTurns, board_turns
+from .board_views import BoardTurns, board_turns
 
 _STEP_S = 0.1
 _TURN_S = 0.1

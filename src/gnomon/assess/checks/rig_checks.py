@@ -27,16 +27,17 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
-from .accelerometer_change import check_accelerometer_change
-from .board_turn import BoardTurns, board_move, moved_finding
-from .clock_drift import look_at_drift
-from .early_clocks import late_accelerometer
+from .board_views import BoardTurns, board_move, moved_finding
+from .clock_checks import look_at_drift
 from .rig_axes import (
     AxesFit,
     FrameTimes,
     FrameTurns,
     accelerometer_axes,
+    averaged_force,
     exchanged_axes,
+    felt_force,
+    force_by_gyroscope,
     frame_times,
     gyroscope_axes,
     rotation_break,
@@ -379,3 +380,90 @@ def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
         return []
     which = "ahead of" if shift_s < 0 else "behind"
     return [make_finding("time-shift", name=name, shift_s=abs(shift_s), which=which, imu=imu)]
+
+
+_BETTER, _LEFT = 0.1, 0.1  # what a change leaves, of what no change leaves and of the readings' power
+
+
+_LEAST = 0.05  # of the frames, on either side
+
+
+def check_accelerometer_change(poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Return a problem where axes of the accelerometer are others from one instant on (code axes-changed).
+
+    Parameters
+    ----------
+    poses, stream : of the board, of the IMU
+    time_shift_s : t_imu - t_cam, about
+    imu : its name
+    """
+    felt = felt_force(poses, stream, time_shift_s)
+    if felt is None:
+        return []
+    t_s, design, read = felt
+    changes = [one for axis in range(3) if (one := _change(design, read, axis)) is not None]
+    if not changes:
+        return []
+    told = ", ".join(f"{'xyz'[axis]} reads what would have been {source}" for axis, source, _ in changes)
+    at_s = float(np.median([t_s[k] for *_, k in changes]) - stream.t_s[0])
+    return [make_finding("axes-changed/rig", label=imu, read=told, at_s=at_s)]
+
+
+def _change(design: Floats, read: Floats, axis: int) -> tuple[int, str, int] | None:
+    """Return the axis, what it reads later, such as -x, and the first frame of that; None where nothing changes."""
+    basis, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
+    part = np.cumsum(basis[:, None, :] * read[:, :, None], axis=0)  # (n, 3, p)
+    power = np.cumsum(read**2, axis=0)
+    same = float(power[-1, axis] - (part[-1, axis] ** 2).sum())
+    edge = max(1, round(_LEAST * len(read)))
+    best: tuple[float, str, int] | None = None
+    for source in range(3):
+        for sign in (1, -1):
+            if (source, sign) == (axis, 1):
+                continue
+            own = part[:-1, axis] + sign * (part[-1, source] - part[:-1, source])
+            whole = power[:-1, axis] + power[-1, source] - power[:-1, source]
+            left = (whole - (own**2).sum(axis=1))[edge:-edge]
+            k = int(np.argmin(left))
+            if left[k] < _BETTER * same and left[k] < _LEFT * whole[edge + k] and (best is None or left[k] < best[0]):
+                best = float(left[k]), f"{'-' if sign < 0 else ''}{'xyz'[source]}", edge + k + 1
+    return None if best is None else (axis, best[1], best[2])
+
+
+_SEARCH_S, _TRIALS, _STEP_S = 0.1, 41, 0.01
+
+
+_COMES_LATE_S, _COMES_LATE_SIGMAS, _CLEARLY = 0.015, 4.0, 2.0
+
+
+_LEFT_OF_FORCE = 0.1  # of the variance of the force, at most
+
+
+def late_accelerometer(
+    imu: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, gyroscope: AxesFit
+) -> list[Finding]:
+    """Say that an accelerometer's readings come by much later or earlier than the gyroscope's (code triads-apart)."""
+    seen = force_by_gyroscope(poses, stream, time_shift_s, gyroscope)
+    if seen is None:
+        return []
+    at, step_s, known, free = seen
+    q, force = np.linalg.qr(free.reshape(-1, free.shape[2]))[0], averaged_force(stream, step_s)
+
+    def left_at(delay_s: float) -> Floats:
+        wanted = (force(at + delay_s) - known).ravel()
+        return wanted - q @ (q.T @ wanted)
+
+    delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)
+    best = min(delays.tolist(), key=lambda delay_s: float((left_at(delay_s) ** 2).sum()))
+    slope = (left_at(best + _STEP_S) - left_at(best - _STEP_S)) / (2 * _STEP_S)
+    best -= float(slope @ left_at(best)) / float(slope @ slope)
+    left, before = left_at(best), left_at(0.0)
+    sigma = 2.0 * float(np.sqrt((left**2).mean() / (slope @ slope)))  # neighbouring differences share poses
+    delay = best - gyroscope.delay_s
+    read = force(at)
+    explained = left @ left < _LEFT_OF_FORCE * ((read - read.mean(axis=0)) ** 2).sum() and abs(best) < _SEARCH_S
+    clear = abs(delay) > max(_COMES_LATE_S, _COMES_LATE_SIGMAS * sigma) and before @ before > _CLEARLY * (left @ left)
+    if not (explained and clear):
+        return []
+    later, earlier = ("accelerometer", "gyroscope") if delay > 0 else ("gyroscope", "accelerometer")
+    return [make_finding("triads-apart/rig", later=later, imu=imu, delay=abs(delay), sigma=sigma, earlier=earlier)]

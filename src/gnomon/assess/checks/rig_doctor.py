@@ -8,26 +8,18 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...detect.boards.board import BoardView
+from ...detect.boards.board import BoardView, tag_spacing
 from ...errors import RecordingError
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
-from ...recording import FrameQuality, ImuSamples, Integers, Recording
+from ...recording import CameraFrames, FrameQuality, ImuSamples, Integers, Recording
 from ...recording.frames import Frame, Grey, ImageStream
 from ...recording.recording import ImageRecording
-from .camera_checks import (
-    all_stamps,
-    check_cameras,
-    check_common_time,
-    check_rhythm,
-    check_views,
-    imu_stamps,
-    imus_to_align,
-)
-from .clock_checks import check_clocks, check_epochs
+from .board_views import FEWEST_CORNERS, BoardSightings, board_sightings, check_handedness
+from .clock_checks import check_epochs
 from .image_checks import (
     BoardDetections,
     ImageStatistics,
@@ -38,8 +30,18 @@ from .image_checks import (
     corner_boxes,
     measure_image,
 )
-from .motion_checks import check_moving_imu
+from .recorder_clocks import check_clocks
 from .rig_checks import check_recording_rig
+from .rig_streams import (
+    all_stamps,
+    check_cameras,
+    check_common_time,
+    check_moving_imu,
+    check_rhythm,
+    imu_stamps,
+    imus_to_align,
+    unusable_frames_finding,
+)
 
 SAMPLE = 60
 """Frames of each camera whose pictures are looked at."""
@@ -48,7 +50,6 @@ _FEWEST_FRAMES = 10
 _FEWEST_CORNERS = 6
 _DAMAGED_SHARE = 0.1
 _KEPT = 8  # pictures that are kept to say which board they show
-
 Detector = Callable[[Grey], BoardView]
 
 
@@ -345,3 +346,82 @@ def _board(name: str, look: StreamSummary) -> list[Finding]:
         consecutive=False,
     )
     return [*check_quality(name, quality, len(sigma), sigma), *check_sight(name, sight)]
+
+
+_OTHER_GAP = 0.03
+
+
+_MOST_LOOKED_AT = 60
+
+
+FEWEST_VIEWS = 3
+"""Fewer views of a plane do not determine the intrinsics of a pinhole."""
+
+
+ENOUGH_VIEWS = 10
+
+
+def check_views(recording: Recording, target: Target) -> tuple[Finding, ...]:
+    """Look at the views of a board and say what is good or bad about them.
+
+    Codes: cameras-missing, frames-backward, corners-unknown, corners-outside, views, views-few, board-mirrored,
+    tag-spacing, and those of the images.
+
+    Returns
+    -------
+    Findings camera by camera; severity "problem" means that they cannot be calibrated.
+    """
+    if not recording.cameras:
+        return (make_finding("cameras-missing/views"),)
+    return tuple(
+        finding for name, frames in recording.cameras.items() for finding in _cameras_check_camera(name, frames, target)
+    )
+
+
+def _cameras_check_camera(name: str, frames: CameraFrames, target: Target) -> list[Finding]:
+    wrong = unusable_frames_finding(name, frames, target)
+    if wrong is not None:
+        return [wrong]
+    seen = board_sightings(frames, target)
+    findings = [_cameras_count(name, frames, seen)]
+    if frames.quality is not None:
+        findings += check_quality(name, frames.quality, len(frames.frame), frames.sigma_px)
+    if findings[0].severity != "problem":
+        findings += check_handedness(name, frames, seen.frame[seen.usable], target)
+        findings += _spacing(name, frames, seen.frame[seen.usable], target)
+    return findings
+
+
+def _cameras_count(name: str, frames: CameraFrames, seen: BoardSightings) -> Finding:
+    usable = int(np.count_nonzero(seen.usable))
+    message = (
+        f"{name}: {len(frames.t_ns)} images, the board in {usable} of them ({FEWEST_CORNERS} corners or more, not on "
+        "one line)."
+    )
+    if usable >= ENOUGH_VIEWS:
+        return make_finding("views", message=message)
+    few = usable < FEWEST_VIEWS
+    return make_finding(
+        "views-few/found",
+        severity="problem" if few else "warning",
+        case="few" if few else "",
+        message=message,
+        fewest_views=FEWEST_VIEWS,
+    )
+
+
+def _spacing(name: str, frames: CameraFrames, usable: Integers, target: Target) -> list[Finding]:
+    """Say that the gap between the tags contradicts the images, whatever the lens."""
+    if target.kind != "aprilgrid":
+        return []
+    chosen = usable[:: max(len(usable) // _MOST_LOOKED_AT, 1)]
+    ends = np.searchsorted(frames.frame, [chosen, chosen + 1])
+    gap = tag_spacing([_board_view(frames, first, last) for first, last in ends.T], target)
+    if gap is None or abs(gap - target.tag_spacing) <= _OTHER_GAP:
+        return []
+    return [make_finding("tag-spacing/implausible", name=name, gap=gap, tag_spacing=target.tag_spacing)]
+
+
+def _board_view(frames: CameraFrames, first: int, last: int) -> BoardView:
+    order = first + np.argsort(frames.point[first:last])
+    return BoardView(point=frames.point[order], pixels=frames.pixels[order], sigma_px=np.ones(len(order)))

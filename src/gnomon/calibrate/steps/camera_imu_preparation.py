@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...assess.checks.board_turn import BoardMove, BoardTurns, board_move, moved_finding
-from ...assess.checks.camera_checks import check_cameras
+from ...assess.checks.board_views import BoardMove, BoardTurns, board_move, moved_finding
 from ...assess.checks.rig_checks import check_clock_changes, check_look, name_imu
+from ...assess.checks.rig_streams import check_cameras
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, cameras_disagree, gather_prior
 from ...detect.samples.faults import held_samples, repair_samples, saturated_samples
 from ...detect.samples.time_base import time_base

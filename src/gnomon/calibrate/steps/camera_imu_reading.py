@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 
-from ...assess.checks.clock_checks import check_clocks
+from ...assess.checks.recorder_clocks import check_clocks
 from ...errors import OptionError, RecordingError
 from ...findings import Finding, make_finding
 from ...formats.kalibr.camchain import CameraInput

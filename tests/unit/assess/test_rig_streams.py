@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.cameras.camera_views import board_sightings, image_coverage
-from gnomon.assess.checks.camera_checks import check_cameras
+from gnomon.assess.checks.board_views import board_sightings, image_coverage
+from gnomon.assess.checks.rig_streams import check_cameras
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples
