@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import gnomon
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.temperature_dependence import TemperatureDependence
 from gnomon.simulate.scenarios.temperature import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.study.temperature import METHODS, TemperatureTask, draw_scenario, run_temperature

@@ -34,8 +34,8 @@ from gnomon.results.camera_diagnostics import (
     SolverStep,
     TrajectoryTrack,
 )
-from gnomon.results.parameters import covariance_names
 from gnomon.results.result import Result
+from gnomon.results.sensors import covariance_names
 
 FINDINGS = (
     Finding(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
-from gnomon.models.project_forms import KalibrGyroscope
+from gnomon.models.forms import KalibrGyroscope
 
 KALIBRS_WEIGHTS = {"noise": "nominal", "pixel_sigma": 1.0, "knots_per_s": 100.0, "robust": False}
 """Options with which both programs minimise the same, beside the model."""

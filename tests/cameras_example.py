@@ -7,8 +7,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import Source
 from gnomon.results.calibration import UNSTATED_GRAVITY, Assessment, Calibration, CamerasFit, Covariance, Provenance
-from gnomon.results.parameters import covariance_names
-from gnomon.results.sensors import CameraCalibration
+from gnomon.results.sensors import CameraCalibration, covariance_names
 from gnomon.results.trust import UncertaintySummary
 
 LENSES = {

@@ -24,9 +24,8 @@ from gnomon.results.camera_diagnostics import (
     SolverStep,
     ViewPose,
 )
-from gnomon.results.parameters import covariance_names
 from gnomon.results.result import Result
-from gnomon.results.sensors import CameraCalibration
+from gnomon.results.sensors import CameraCalibration, covariance_names
 from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust, UncertaintySummary
 
 PIXEL_SIGMA = 0.15

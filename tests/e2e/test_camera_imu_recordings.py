@@ -17,7 +17,7 @@ from camera_imu_truth import errors
 from gnomon import CameraImuOptions, calibrate_camera_imu
 from gnomon.calibrate.comparison import compare
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
-from gnomon.models.matrix_pattern import LOWER
+from gnomon.models.forms import LOWER
 
 A, B, D = (
     f"rendered-camimu/{name}" for name in ("a-aprilgrid-full", "b-aprilgrid-ideal-imu", "d-checkerboard-ideal-imu")

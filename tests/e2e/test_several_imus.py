@@ -12,7 +12,7 @@ import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.results.parameters import calibration_parameters
+from gnomon.results.sensors import calibration_parameters
 
 OPTIONS = CameraImuOptions(gravity=9.80665, model="full", covariance="ordinary")
 RUNS = max(3, round(50 * float(os.environ.get("GNOMON_STUDY", "1"))))

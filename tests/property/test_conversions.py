@@ -16,6 +16,8 @@ from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
+    KalibrAccelerometer,
+    KalibrGyroscope,
     KrebsAccelerometer,
     KrebsGyroscope,
     TedaldiAccelerometer,
@@ -28,8 +30,6 @@ from gnomon.models.project_forms import (
     ImucalAccelerometer,
     ImucalGyroscope,
     ImuTkTriad,
-    KalibrAccelerometer,
-    KalibrGyroscope,
     OpenVinsAccelerometer,
     OpenVinsGyroscope,
 )
@@ -43,7 +43,7 @@ from gnomon.results.calibration import (
     ImuCalibration,
     Provenance,
 )
-from gnomon.results.parameters import calibration_parameters, covariance_names
+from gnomon.results.sensors import calibration_parameters, covariance_names
 
 entry = st.floats(-0.2, 0.2)
 matrices = st.lists(entry, min_size=9, max_size=9).map(lambda x: np.eye(3) + np.reshape(x, (3, 3)))

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
+    KalibrAccelerometer,
+    KalibrGyroscope,
     KrebsAccelerometer,
     KrebsGyroscope,
     TedaldiAccelerometer,
@@ -19,8 +21,6 @@ from gnomon.models.project_forms import (
     ImucalAccelerometer,
     ImucalGyroscope,
     ImuTkTriad,
-    KalibrAccelerometer,
-    KalibrGyroscope,
     OpenVinsAccelerometer,
     OpenVinsGyroscope,
 )

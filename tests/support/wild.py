@@ -12,7 +12,7 @@ import numpy as np
 from gnomon.models.target import Target
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import Floats, Recording
-from gnomon.results.parameters import moved_into_frame
+from gnomon.results.moved import moved_into_frame
 from gnomon.results.sensors import CameraCalibration, ImuCalibration
 
 WildKind = Literal["imu", "camera-imu"]

@@ -24,7 +24,8 @@ from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import Floats
 from gnomon.results.calibration import Calibration, Verdict
-from gnomon.results.parameters import calibration_parameters, element_names, moved_to_origin
+from gnomon.results.moved import moved_to_origin
+from gnomon.results.sensors import calibration_parameters, element_names
 from gnomon.study.runs import HERE, Progress, Workers, carry_out
 
 from .wild import WildCase, WildKind

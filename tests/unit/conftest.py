@@ -18,8 +18,8 @@ from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples
 from gnomon.results.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
-from gnomon.results.parameters import covariance_names
 from gnomon.results.result import runs_below
+from gnomon.results.sensors import covariance_names
 
 
 @pytest.fixture(scope="session")

@@ -15,8 +15,7 @@ from ..findings import Finding, make_finding
 from ..frozen import value_class
 from ..recording import Floats, Integers
 from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration
-from ..results.parameters import calibration_parameters, covariance_names
-from ..results.sensors import CameraCalibration, ImuCalibration
+from ..results.sensors import CameraCalibration, ImuCalibration, calibration_parameters, covariance_names
 from ..results.trust import WeakDirection
 from .directions import (
     OF_A_POSE,

@@ -15,7 +15,7 @@ from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats
 from ..results.calibration import Calibration
-from ..results.parameters import element_units
+from ..results.sensors import element_units
 
 COVERAGE_FACTOR = 2.0
 """Of the expanded uncertainty; about 95 %."""

@@ -44,7 +44,7 @@ from ..progress import Progress, Step
 from ..recording import Recording
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
-from ..results.sensors import TemperatureDependence
+from ..results.temperature_dependence import TemperatureDependence
 from .steps.board_order import number_cameras_alike
 from .steps.camera_imu_estimation import (
     BiasesOverTemperature,

@@ -11,8 +11,8 @@ from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
 from ..formats.foreign import ForeignCalibration
 from ..formats.foreign_files import load_any, source_names
-from ..results.at_temperature import imus_at_temperature
 from ..results.calibration import Calibration
+from ..results.moved import imus_at_temperature
 from ..results.result import Result
 
 CalibrationSource = Calibration | ForeignCalibration | Result | str | PathLike[str] | Sequence[str | PathLike[str]]

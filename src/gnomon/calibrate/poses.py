@@ -32,8 +32,8 @@ from ..results.calibration import (
     Provenance,
     covariance_names,
 )
-from ..results.parameters import calibration_parameters
 from ..results.result import Result
+from ..results.sensors import calibration_parameters
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .published.angrisano import calibrate_poses_as_published
 from .steps.imu_model import refuse_evidence

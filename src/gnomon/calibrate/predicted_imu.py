@@ -44,7 +44,7 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..results.result import Booleans
-from ..solve.arrow import solve_arrow
+from ..solve.least_squares import solve_arrow
 
 _TURN_S, _TURN_STEPS = 1.5, 24
 

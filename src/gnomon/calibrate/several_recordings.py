@@ -17,10 +17,9 @@ from ..options import ImuOptions
 from ..progress import Progress, as_step
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Provenance
-from ..results.parameters import calibration_parameters
 from ..results.result import JoinedDiagnostics, JoinedRecording, Result
 from ..results.sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
-from ..results.sensors import ImuCalibration
+from ..results.sensors import ImuCalibration, calibration_parameters
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 
 CalibrateOne = Callable[[Recording, ImuOptions, Progress], Result]

@@ -33,8 +33,8 @@ from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Provenance
-from ..results.sensors import HIGHEST_ORDER, TemperatureDependence
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
+from ..results.temperature_dependence import HIGHEST_ORDER, TemperatureDependence
 from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 from .steps.temperature_while_turned import supported_order

@@ -18,8 +18,9 @@ from ..progress import Progress
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, covariance_names
 from ..results.result import Result
-from ..results.sensors import TEMPERATURE_PARTS, ImuCalibration, TemperatureDependence
+from ..results.sensors import ImuCalibration
 from ..results.temperature import AxisOverTemperature, TriadOverTemperature
+from ..results.temperature_dependence import TEMPERATURE_PARTS, TemperatureDependence
 from ..results.trust import VERDICTS
 from .imu import calibrate_imu
 from .several_recordings import calibrated_alike, scalars_of, with_scalars

@@ -9,8 +9,9 @@ from rich.table import Table
 
 from ..formats.shared.baselines import baseline_of
 from ..formats.shared.entries import camera_entries
+from ..models.camera import knows_lens
 from ..models.frames import AXES
-from ..models.lens_names import PROGRAMS, knows_lens
+from ..models.lens_names import PROGRAMS
 from ..recording import Floats
 from ..results.calibration import Calibration, CamerasFit
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics

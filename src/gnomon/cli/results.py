@@ -268,7 +268,7 @@ def _paragraph(text: str, first: str, rest: str) -> list[str]:
 def parameter_lines(calibration: "Calibration") -> Iterator[str]:
     """Yield every parameter with its standard deviation, a row for each sensor axis."""
     from ..results.calibration import calibration_parameters
-    from ..results.parameters import parameter_unit, unit_ratio
+    from ..results.sensors import parameter_unit, unit_ratio
 
     for path, value in calibration_parameters(calibration.imus):
         sigma = calibration.sigma(path)

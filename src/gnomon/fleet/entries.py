@@ -11,7 +11,7 @@ import numpy as np
 from ..frozen import value_class
 from ..recording import Floats
 from ..results.calibration import Calibration
-from ..results.parameters import calibration_parameters, element_units
+from ..results.sensors import calibration_parameters, element_units
 
 
 @value_class

@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.rotation_vector import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
-from ..results.sensors import TemperatureDependence
+from ..results.temperature_dependence import TemperatureDependence
 from .own.calibration_text import FRAMES
 from .shared.losses import Context, Export, Loss
 from .shared.sensor_losses import Holds, not_representable

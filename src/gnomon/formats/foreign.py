@@ -26,7 +26,7 @@ from ..results.calibration import (
     calibration_parameters,
     covariance_names,
 )
-from ..results.parameters import element_names
+from ..results.sensors import element_names
 from ..units import STANDARD_GRAVITY_M_S2
 
 FOREIGN_METHOD = "foreign"

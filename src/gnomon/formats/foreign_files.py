@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..results.calibration import Calibration, CameraCalibration
-from ..results.parameters import calibration_parameters
+from ..results.sensors import calibration_parameters
 from .basalt import basalt_of, is_basalt
 from .foreign import ForeignCalibration, recognised_frame
 from .imu_tk import is_imu_tk, read_imu_tk, stated_triad

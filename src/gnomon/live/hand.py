@@ -7,7 +7,7 @@ import numpy as np
 from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from ..results.calibration import ImuCalibration
-from ..results.sensors import rotate_imu
+from ..results.moved import rotate_imu
 from ..simulate.scenarios.recorded import Scenario
 from ..simulate.sensor import drawn_imu
 from ..simulate.trajectory import Motions, rotated_back, rotvec_quaternions

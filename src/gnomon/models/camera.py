@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import OptionError
 from ..frozen import value_class
 from .distortions import DISTORTIONS, Bent
-from .lens_names import LINEAR, DistortionName, ProjectionName
+from .lens_names import LENSES, LINEAR, DistortionName, ProjectionName
 from .projections import PROJECTIONS
 
 Floats = NDArray[np.float64]
@@ -324,3 +324,10 @@ def _resolution(values: tuple[int, int]) -> tuple[int, int]:
     if len(sides) != 2 or not all(float(side).is_integer() and side > 0 for side in sides):
         raise OptionError(f"resolution must be width and height, whole numbers above zero; found {list(sides)}.")
     return int(sides[0]), int(sides[1])
+
+
+def knows_lens(name: str, camera: Camera) -> bool:
+    """Return whether a program knows the model of a lens."""
+    if name == "basalt" and camera.projection == "omni" and float(camera.intrinsics[0]) < 0:
+        return False  # its ucm has alpha = xi / (1 + xi) of 0 to 1
+    return camera.distortion in LENSES[name].get(camera.projection, ())

@@ -1,4 +1,4 @@
-"""The sensor models of Tedaldi, Krebs and Angrisano as exact views of gnomon's own.
+"""The sensor models of Tedaldi, Krebs, Angrisano and Kalibr as exact views of gnomon's own.
 
 gnomon's model, with specific force f [m/s^2] and angular rate w [rad/s] in the body frame, and measurements s in the
 unit of the sensor, is
@@ -8,10 +8,16 @@ unit of the sensor, is
 A form holds the same sensor in the letters of a document. `from_sensor` and `to_sensor` convert, `predict` evaluates
 the document's own equation, so that a test can show that the samples are the same. Each form belongs to a body frame
 (`frame`): a document that makes the accelerometer's matrix triangular fixes the frame by doing so. Bring the sensor
-into that frame first (`models.frames`). Sign conventions differ: Tedaldi adds the bias, Angrisano subtracts it.
+into that frame first (`models.frames`). Sign conventions differ: Tedaldi adds the bias, Angrisano subtracts it. The
+form of Kalibr is as stated in its code and compared in docs/theory.
 
 How a document writes one triad, its matrix and its bias, is the same for accelerometer and gyroscope and stands once:
-`CorrectedTriad`, `KrebsTriad`. A gyroscope's form adds where its axes lie, and the g-sensitivity.
+`CorrectedTriad`, `KrebsTriad`, `KalibrTriad`. A gyroscope's form adds where its axes lie, and the g-sensitivity.
+
+Of some matrices a few entries are unknowns (Krebs, section 4.3 and Fig. 4.1). A `MatrixPattern` names those of a 3 x 3
+matrix X. The product X v depends on each of them through one component of v: for the unknown X_ij the derivative of X v
+is e_i v_j. (The Jacobians that the document prints, page 16 and 17, have the wrong component and the wrong order of
+factors.)
 """
 
 from abc import ABC, abstractmethod
@@ -307,6 +313,107 @@ class KrebsGyroscope(KrebsTriad, GyroscopeForm):
     def predict(self, rate: Floats, force: Floats) -> Floats:
         acting = force @ self.C_bg if self.reading == "chapter 3" else force
         return self._measured(rate @ self.C_bg) + acting @ self.B.T
+
+
+@value_class
+class KalibrTriad(TriadForm):
+    """Kalibr, "scale-misalignment": s = M x + b with M lower triangular and its diagonal free.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per SI], lower triangular
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    M: Floats
+    b: Floats
+
+    @classmethod
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
+        return {"M": sensitivity, "b": bias}
+
+    def _joined(self) -> tuple[Floats, Floats]:
+        return self.M, self.b
+
+    def _measured(self, truth: Floats) -> Floats:
+        return truth @ self.M.T + self.b
+
+
+@value_class
+class KalibrAccelerometer(KalibrTriad, AccelerometerForm):
+    """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per m/s^2], lower triangular
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+
+@value_class
+class KalibrGyroscope(KalibrTriad, GyroscopeForm):
+    """Kalibr, "scale-misalignment": y = M C w + A C f + b with M lower triangular and C = C_gyro_i.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per rad/s], lower triangular
+    C_gyro_i : (3, 3), rotation from the body frame to the gyroscope's
+    A : (3, 3) [unit per m/s^2], g-sensitivity, on the specific force in the gyroscope's frame
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+    C_gyro_i: Floats
+    A: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        lower, C = in_own_axes(sensitivity, cls.frame)
+        return cls(**cls._split(lower, bias), C_gyro_i=C, A=g_sensitivity @ C.T)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        sensitivity, bias = self._joined()
+        return sensitivity @ self.C_gyro_i, bias, self.A @ self.C_gyro_i
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        return self._measured(rate @ self.C_gyro_i.T) + force @ self.C_gyro_i.T @ self.A.T
+
+
+@value_class(eq=True)
+class MatrixPattern:
+    """The unknown entries (row, column) of a 3 x 3 matrix, in the order of its parameters; the others are of I."""
+
+    entries: tuple[tuple[int, int], ...]
+
+    def matrix(self, parameters: Floats) -> Floats:
+        """Return the matrix (3, 3) with these parameters."""
+        matrix = np.zeros((3, 3)) if len(self.entries) == 9 else np.eye(3)
+        for entry, value in zip(self.entries, parameters, strict=True):
+            matrix[entry] = value
+        return matrix
+
+    def parameters(self, matrix: Floats) -> Floats:
+        """Return the parameters of a matrix (3, 3) of this pattern."""
+        return np.array([matrix[entry] for entry in self.entries])
+
+    def product_jacobian(self, v: Floats) -> Floats:
+        """Return the derivative of X v by the parameters, (n, 3, number of parameters), of vectors (n, 3)."""
+        jacobian = np.zeros((len(v), 3, len(self.entries)))
+        for k, (i, j) in enumerate(self.entries):
+            jacobian[:, i, k] = v[:, j]
+        return jacobian
+
+
+DIAGONAL = MatrixPattern(entries=((0, 0), (1, 1), (2, 2)))
+"""Scale factors S (section 3.2.3)."""
+
+
+LOWER = MatrixPattern(entries=((1, 0), (2, 0), (2, 1)))
+"""Misalignment M (section 3.2.1): M_yz, M_zy, M_zx below a diagonal of ones."""
+
+
+FULL = MatrixPattern(entries=tuple((i, j) for i in range(3) for j in range(3)))
+"""Influence B_g of the specific force on the gyroscope (section 3.2.4), row by row."""
 
 
 def in_frame(sensitivity: Floats, frame: str) -> Floats:

@@ -7,13 +7,9 @@ The lens models: their names, and those of their parameters, in the order of Kal
 
 import difflib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ..errors import OptionError
-
-if TYPE_CHECKING:
-    from .camera import Camera
-
 
 ProjectionName = Literal["pinhole", "omni", "eucm", "ds"]
 DistortionName = Literal["none", "radtan", "radtan5", "equidistant", "fov"]
@@ -38,9 +34,8 @@ COEFFICIENTS: Mapping[DistortionName, tuple[str, ...]] = {
 }
 """Coefficients of a distortion; radtan5 is radtan with k3."""
 
-
 _PLAIN = ("none",)
-_LENSES: Mapping[str, Mapping[ProjectionName, tuple[DistortionName, ...]]] = {
+LENSES: Mapping[str, Mapping[ProjectionName, tuple[DistortionName, ...]]] = {
     "kalibr": {
         "pinhole": ("none", "radtan", "radtan5", "equidistant", "fov"),
         "omni": ("none", "radtan"),
@@ -63,13 +58,13 @@ _LENSES: Mapping[str, Mapping[ProjectionName, tuple[DistortionName, ...]]] = {
 
 _WITH_K3 = ("orb-slam3", "basalt", "okvis", "ros2")
 
-PROGRAMS = tuple(_LENSES)
+PROGRAMS = tuple(LENSES)
 """Formats that describe cameras to a program, which knows some lenses and not others."""
 
 
 def models_of(name: str) -> tuple[str, ...]:
     """Return the lens models that a program knows, such as "pinhole-radtan"."""
-    return tuple(f"{projection}-{bent}" for projection, all_bent in _LENSES[name].items() for bent in all_bent)
+    return tuple(f"{projection}-{bent}" for projection, all_bent in LENSES[name].items() for bent in all_bent)
 
 
 def read_everywhere() -> tuple[str, ...]:
@@ -92,13 +87,6 @@ def check_program(name: str) -> None:
             f"{name}: it is not known which lenses this program reads.{hint} Known: {', '.join(PROGRAMS)}. "
             "Uses such as vio are stated to gnomon camera-imu."
         )
-
-
-def knows_lens(name: str, camera: "Camera") -> bool:
-    """Return whether a program knows the model of a lens."""
-    if name == "basalt" and camera.projection == "omni" and float(camera.intrinsics[0]) < 0:
-        return False  # its ucm has alpha = xi / (1 + xi) of 0 to 1
-    return camera.distortion in _LENSES[name].get(camera.projection, ())
 
 
 def refit_models(name: str) -> tuple[str, ...]:

@@ -1,16 +1,8 @@
-"""The sensor models of Kalibr, imu_tk and imucal as exact views of gnomon's own.
+"""The sensor models of other projects as views of gnomon's own; the frame and the methods are as in `models.forms`.
 
-Definitions as stated in those projects' code and compared in docs/theory; the frame and the methods are as in
-`models.forms`.
-
-The sensor models of PX4 and ArduPilot: an offset and a scale for each axis, or an offset alone.
-
-Definitions as stated in those projects' code. They cannot hold misalignment; the diagonal is chosen so that the error
-that remains is least.
-
-The sensor models of OpenVINS and Basalt as exact views of gnomon's own.
-
-Definitions as stated in those projects' code; the frame and the methods are as in `models.forms`.
+Definitions as stated in those projects' code and compared in docs/theory. Those of imu_tk, imucal, OpenVINS and Basalt
+are exact. PX4 and ArduPilot have an offset and a scale for each axis, or an offset alone: they cannot hold
+misalignment; the diagonal is chosen so that the error that remains is least.
 """
 
 from typing import ClassVar, Self
@@ -175,70 +167,6 @@ class BasaltTriad:
     def predict(self, truth: Floats) -> Floats:
         """Return measurements (n, 3) [SI] of specific force [m/s^2] or angular rate [rad/s], (n, 3)."""
         return (truth + self.b) @ invert_matrix(np.eye(3) + self.S).T
-
-
-@value_class
-class KalibrTriad(TriadForm):
-    """Kalibr, "scale-misalignment": s = M x + b with M lower triangular and its diagonal free.
-
-    Attributes
-    ----------
-    M : (3, 3) [unit per SI], lower triangular
-    b : (3,) [unit]; Kalibr lets it vary with time
-    """
-
-    frame: ClassVar[str] = "accel-x"
-    M: Floats
-    b: Floats
-
-    @classmethod
-    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
-        return {"M": sensitivity, "b": bias}
-
-    def _joined(self) -> tuple[Floats, Floats]:
-        return self.M, self.b
-
-    def _measured(self, truth: Floats) -> Floats:
-        return truth @ self.M.T + self.b
-
-
-@value_class
-class KalibrAccelerometer(KalibrTriad, AccelerometerForm):
-    """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
-
-    Attributes
-    ----------
-    M : (3, 3) [unit per m/s^2], lower triangular
-    b : (3,) [unit]; Kalibr lets it vary with time
-    """
-
-
-@value_class
-class KalibrGyroscope(KalibrTriad, GyroscopeForm):
-    """Kalibr, "scale-misalignment": y = M C w + A C f + b with M lower triangular and C = C_gyro_i.
-
-    Attributes
-    ----------
-    M : (3, 3) [unit per rad/s], lower triangular
-    C_gyro_i : (3, 3), rotation from the body frame to the gyroscope's
-    A : (3, 3) [unit per m/s^2], g-sensitivity, on the specific force in the gyroscope's frame
-    b : (3,) [unit]; Kalibr lets it vary with time
-    """
-
-    C_gyro_i: Floats
-    A: Floats
-
-    @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
-        lower, C = in_own_axes(sensitivity, cls.frame)
-        return cls(**cls._split(lower, bias), C_gyro_i=C, A=g_sensitivity @ C.T)
-
-    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        sensitivity, bias = self._joined()
-        return sensitivity @ self.C_gyro_i, bias, self.A @ self.C_gyro_i
-
-    def predict(self, rate: Floats, force: Floats) -> Floats:
-        return self._measured(rate @ self.C_gyro_i.T) + force @ self.C_gyro_i.T @ self.A.T
 
 
 @value_class

@@ -22,7 +22,7 @@ from ..results.calibration import (
     Provenance,
     Verdict,
 )
-from ..results.parameters import element_units
+from ..results.sensors import element_units
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, fixed_text, number_text, readable_unit, with_sigma
 from .page import (

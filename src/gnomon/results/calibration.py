@@ -18,25 +18,20 @@ from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from ..recording import Floats, Source, frozen_array
 from ..recording.samples import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
-from .at_temperature import imus_at_temperature
-from .parameters import (
-    calibration_parameters,
-    covariance_names,
-    element_names,
-    element_units,
-    moved_into_frame,
-    moved_to_origin,
-)
+from .moved import imus_at_temperature, moved_into_frame, moved_to_origin, rotate_imu
 from .sensors import (
     AccelerometerCalibration,
     CameraCalibration,
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
-    TemperatureDependence,
+    calibration_parameters,
+    covariance_names,
+    element_names,
+    element_units,
     interpolate_triad,
-    rotate_imu,
 )
+from .temperature_dependence import TemperatureDependence
 from .trust import UncertaintySummary, Verdict
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Calibrated sensors: an IMU's triads, and the camera that moves with them.
+"""Calibrated sensors: an IMU's triads, and the camera that moves with them; their parameters, named and in units.
 
 The one sensor model of gnomon (see docs/theory): with specific force f [m/s^2], angular rate omega [rad/s] and magnetic
 field m [uT, or the local field's strength] in the body frame, and measurements in the unit of the recording,
@@ -9,21 +9,49 @@ field m [uT, or the local field's strength] in the body frame, and measurements 
 
 at one temperature; how it changes is a `TemperatureDependence`. The models of Tedaldi, Krebs and Angrisano and of other
 projects are exact views of it.
+
+The scalars in the order of the covariance: first come those of every IMU, last the lever arms of its accelerometers,
+its pose and clock, the time shift of its accelerometer and what the temperature changes, where it has them; then those
+of every camera. A matrix is listed row by row. A rotation is named by its rotation vector; its covariance is that of a
+small rotation on the right (`CameraCalibration`, `ImuCalibration`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from functools import lru_cache
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, OptionError
 from ..frozen import FrozenMapping, value_class
+from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.camera import Camera
 from ..models.frames import Origin
 from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array
 from ..recording.thermometer import TemperatureCourse, temperature_course
+from .temperature_dependence import TemperatureDependence
+
+TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+
+_SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+_IMU = {
+    "T_imu_body.rotation": "rad",
+    "T_imu_body.translation": "m",
+    "time_shift_imu": "s",
+    "accelerometer.time_shift": "s",
+}
+_CAMERA = {
+    "T_cam_imu.rotation": "rad",
+    "T_cam_imu.translation": "m",
+    "T_cam_cam0.rotation": "rad",
+    "T_cam_cam0.translation": "m",
+    "time_shift_cam_imu": "s",
+    "line_delay": "s",
+    "intrinsics": "px",
+    "distortion_coeffs": "1",
+}
 
 
 @value_class
@@ -42,8 +70,7 @@ class AccelerometerCalibration:
     lever_arms_m : (3, 3) where the x, y and z accelerometers sit, one row each, from the body's origin, body frame; or
         None where they are taken to be at one point, the body's origin
     time_shift_s : t_gyroscope = t_accelerometer + time_shift_s, of the timestamps of one instant [s]; None where both
-    have
-        the same clock and delay
+        have the same clock and delay
     """
 
     sensitivity: Floats
@@ -137,114 +164,6 @@ class MagnetometerCalibration:
     def magnetic_field(self, values: Floats) -> Floats:
         """Return the magnetic field in the body frame, (n, 3) [field_unit], of measurements (n, 3) [unit]."""
         return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
-
-
-@value_class
-class TemperatureDependence:
-    """How the triads of an IMU change with the temperature of its chip.
-
-    With d = T - reference_degc, and in sensor axes, a triad that reads y at the reference reads
-
-        y(T) = bias + sum_j bias_j d^j + (1 + sum_j sensitivity_j d^j) (y - bias),    j = 1 to the order:
-
-    the sensitivities are relative changes, which also the g-sensitivity of a gyroscope takes part in. Where that
-    changes by itself, y of the gyroscope has sum_j g_sensitivity_j d^j (a - bias of a) in addition, with the reading a
-    that the accelerometer would have at the reference. A part that does not change is None. Of the six numbers by which
-    an accelerometer alone tells its sensitivity those of body frame accel-x change, at each temperature, and the
-    gyroscope's are against that frame.
-
-    Attributes
-    ----------
-    reference_degc : temperature at which the sensitivities and biases beside this hold [degC]
-    low_degc, high_degc : range in which the polynomials hold [degC]; beyond it they are taken at the nearer end
-    lag_s : by which the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x [s]
-    accelerometer_bias, gyroscope_bias : (order, 3) [unit/K^j]
-    accelerometer_sensitivity, gyroscope_sensitivity : (order, 3, 3) [1/K^j]
-    gyroscope_g_sensitivity : (order, 3, 3) [unit of the gyroscope per unit of the accelerometer and K^j]
-    magnetometer_bias, magnetometer_sensitivity : (order, 3) [unit/K^j] and (order, 3, 3) [1/K^j]
-    """
-
-    reference_degc: float
-    low_degc: float
-    high_degc: float
-    lag_s: float = 0.0
-    accelerometer_bias: Floats | None = None
-    gyroscope_bias: Floats | None = None
-    accelerometer_sensitivity: Floats | None = None
-    gyroscope_sensitivity: Floats | None = None
-    gyroscope_g_sensitivity: Floats | None = None
-    magnetometer_bias: Floats | None = None
-    magnetometer_sensitivity: Floats | None = None
-
-    def __post_init__(self) -> None:
-        for name in TEMPERATURE_PARTS:
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, frozen_array(value))
-
-    def parts(self) -> Iterator[tuple[str, Floats]]:
-        """Yield the names and coefficients of what changes."""
-        for name in TEMPERATURE_PARTS:
-            if (value := getattr(self, name)) is not None:
-                yield name, value
-
-    def of(self, triad: str) -> bool:
-        """Return whether anything of a triad changes."""
-        return any(part.startswith(triad) for part, _ in self.parts())
-
-    @property
-    def changes(self) -> bool:
-        """Whether anything changes at all."""
-        return any(True for _ in self.parts())
-
-    def change(self, part: str, degc: Floats) -> Floats:
-        """Return by how much a part differs from that at the reference at temperatures (k,).
-
-        Beyond the range it is that at the nearer end: polynomials run away there.
-
-        Returns
-        -------
-        (k, 3) of a bias [its unit], (k, 3, 3) of a sensitivity, relative to it, or of the g-sensitivity
-        """
-        coefficients: Floats | None = getattr(self, part)
-        if coefficients is None:
-            return np.zeros((len(degc), *TEMPERATURE_PARTS[part]))
-        known = np.clip(degc, self.low_degc, self.high_degc)
-        powers = np.vander(known - self.reference_degc, len(coefficients) + 1, increasing=True)[:, 1:]
-        return np.tensordot(powers, coefficients, axes=1)
-
-    def to_reference(self, name: str, values: Floats, degc: Floats, bias: Floats) -> Floats:
-        """Return what samples (n, 3) of a triad with such a bias (3,) would be at the reference temperature."""
-        values = values - self.change(f"{name}_bias", degc)
-        if getattr(self, f"{name}_sensitivity") is None:
-            return values
-        larger = np.eye(3) + self.change(f"{name}_sensitivity", degc)
-        return bias + np.linalg.solve(larger, (values - bias)[:, :, None])[:, :, 0]
-
-    def from_reference(self, name: str, values: Floats, degc: Floats, bias: Floats) -> Floats:
-        """Return what samples (n, 3) that are right at the reference temperature would be at others (n,)."""
-        relative = self.change(f"{name}_sensitivity", degc)
-        more = np.einsum("nij,nj->ni", relative, values - bias)
-        return values + more + self.change(f"{name}_bias", degc)
-
-
-TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-
-HIGHEST_ORDER = 3
-"""Of polynomials of the temperature."""
-
-TEMPERATURE_PARTS = FrozenMapping(
-    {
-        "accelerometer_bias": (3,),
-        "gyroscope_bias": (3,),
-        "accelerometer_sensitivity": (3, 3),
-        "gyroscope_sensitivity": (3, 3),
-        "gyroscope_g_sensitivity": (3, 3),
-        "magnetometer_bias": (3,),
-        "magnetometer_sensitivity": (3, 3),
-    }
-)
-"""What a temperature may change, in the order of the covariance, and the shape of one coefficient."""
 
 
 @value_class
@@ -492,30 +411,118 @@ class CameraCalibration:
         return 0.5 * (self.camera.resolution[1] - 1) * self.camera.line_delay_s
 
 
-def rotate_imu(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
-    """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""
-    accelerometer, gyroscope, magnetometer = imu.accelerometer, imu.gyroscope, imu.magnetometer
-    if accelerometer is not None:
-        arms = accelerometer.lever_arms_m
-        accelerometer = replace(
-            accelerometer,
-            sensitivity=accelerometer.sensitivity @ rotation.T,
-            lever_arms_m=None if arms is None else arms @ rotation.T,
-        )
-    if gyroscope is not None:
-        gyroscope = replace(
-            gyroscope,
-            sensitivity=gyroscope.sensitivity @ rotation.T,
-            g_sensitivity=gyroscope.g_sensitivity @ rotation.T,
-        )
-    if magnetometer is not None:
-        magnetometer = replace(magnetometer, sensitivity=magnetometer.sensitivity @ rotation.T)
-    origin = None if imu.origin is None else imu.origin.turned(rotation)
-    return replace(imu, accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer, origin=origin)
+_NO_CAMERAS: Mapping[str, CameraCalibration] = FrozenMapping({})
 
 
-def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:
-    """Return the camera with the body frame turned: f_new = rotation @ f_old, (3, 3); the body's origin stays."""
-    moved = camera.T_cam_body.copy()
-    moved[:3, :3] = camera.T_cam_body[:3, :3] @ rotation.T
-    return replace(camera, T_cam_body=moved)
+class Calibrated(Protocol):
+    """What has parameters."""
+
+    @property
+    def imus(self) -> Mapping[str, ImuCalibration]:
+        """IMUs by their names."""
+        ...
+
+    @property
+    def cameras(self) -> Mapping[str, CameraCalibration]:
+        """Cameras by their names."""
+        ...
+
+
+def parameter_unit(calibration: Calibrated, path: str) -> str:
+    """Return the unit of a parameter by its path, such as "count/(m/s^2)" for "imu0.accelerometer.sensitivity".
+
+    Of a camera's intrinsics it is that of the focal lengths and the principal point; see `element_units`.
+    """
+    name, _, rest = path.partition(".")
+    if name in calibration.cameras:
+        return _CAMERA[rest]
+    if rest in _IMU:
+        return _IMU[rest]
+    triad, parameter = rest.split(".")
+    imu = calibration.imus[name]
+    if triad == "temperature":
+        triad, parameter = parameter.split("_", 1)
+    if parameter == "lever_arms_m":
+        return "m"
+    sensor = getattr(imu, triad)
+    if parameter == "bias":
+        return sensor.unit
+    if ".temperature." in path:
+        return "1" if parameter == "sensitivity" else unit_ratio(sensor.unit, imu.required_accelerometer.unit)
+    physical = sensor.field_unit if triad == "magnetometer" else _SI[triad]
+    return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else physical)
+
+
+def element_units(calibration: Calibrated, path: str) -> list[str]:
+    """Return the units of a parameter's scalars; the first intrinsics of some lenses are pure numbers."""
+    count = np.size(dict(calibration_parameters(calibration.imus, calibration.cameras))[path])
+    units = [parameter_unit(calibration, path)] * count
+    if ".temperature." in path:
+        each = count // len(dict(calibration_parameters(calibration.imus, calibration.cameras))[path])
+        return [unit_ratio(unit, f"K^{i // each + 1}" if i >= each else "K") for i, unit in enumerate(units)]
+    return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
+
+
+def unit_ratio(unit: str, other: str) -> str:
+    """Return `unit` divided by `other`.
+
+    Examples
+    --------
+    >>> unit_ratio("count", "m/s^2"), unit_ratio("rad/s", "rad/s"), unit_ratio("m/s^2", "count")
+    ('count/(m/s^2)', '1', '(m/s^2)/count')
+    """
+    if unit == other:
+        return "1"
+    return "/".join(f"({part})" if "/" in part else part for part in (unit, other))
+
+
+def calibration_parameters(
+    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
+) -> Iterator[tuple[str, Floats]]:
+    """Yield (path, value) of every parameter, in the order of the covariance."""
+    for name, imu in imus.items():
+        if imu.accelerometer is not None:
+            yield f"{name}.accelerometer.sensitivity", imu.accelerometer.sensitivity
+            yield f"{name}.accelerometer.bias", imu.accelerometer.bias
+        if imu.gyroscope is not None:
+            yield f"{name}.gyroscope.sensitivity", imu.gyroscope.sensitivity
+            yield f"{name}.gyroscope.bias", imu.gyroscope.bias
+            yield f"{name}.gyroscope.g_sensitivity", imu.gyroscope.g_sensitivity
+        if imu.magnetometer is not None:
+            yield f"{name}.magnetometer.sensitivity", imu.magnetometer.sensitivity
+            yield f"{name}.magnetometer.bias", imu.magnetometer.bias
+        if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
+            yield f"{name}.accelerometer.lever_arms_m", imu.accelerometer.lever_arms_m
+        if imu.T_imu_body is not None:
+            yield f"{name}.T_imu_body.rotation", rotvec_from_rotation(imu.T_imu_body[:3, :3])
+            yield f"{name}.T_imu_body.translation", imu.T_imu_body[:3, 3]
+            yield f"{name}.time_shift_imu", np.array(imu.time_shift_s)
+        if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
+            yield f"{name}.accelerometer.time_shift", np.array(imu.accelerometer.time_shift_s)
+        if imu.temperature is not None:
+            for part, coefficients in imu.temperature.parts():
+                yield f"{name}.temperature.{part}", coefficients
+    for name, camera in cameras.items():
+        if name != camera.body:
+            yield f"{name}.{camera.link}.rotation", rotvec_from_rotation(camera.T_cam_body[:3, :3])
+            yield f"{name}.{camera.link}.translation", camera.T_cam_body[:3, 3]
+        if camera.body == "imu0":
+            yield f"{name}.time_shift_cam_imu", np.array(camera.time_shift_cam_imu)
+            yield f"{name}.line_delay", np.array(camera.camera.line_delay_s)
+        yield f"{name}.intrinsics", camera.camera.intrinsics
+        yield f"{name}.distortion_coeffs", camera.camera.distortion_coeffs
+
+
+@lru_cache(1000)
+def element_names(path: str, shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the names of a parameter's scalars in row order, "imu0.gyroscope.bias[2]"; of a lone scalar its path."""
+    return tuple([f"{path}[{','.join(map(str, index))}]" if index else path for index in np.ndindex(shape)])
+
+
+def covariance_names(
+    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
+) -> tuple[str, ...]:
+    """Return the names of all scalars of all IMUs, then of all cameras, in the order of the covariance."""
+    return tuple(
+        name for path, value in calibration_parameters(imus, cameras) for name in element_names(path, value.shape)
+    )

@@ -13,8 +13,8 @@ from ..frozen import field_names, value_class
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.camera import Camera
+from ..models.forms import DIAGONAL, FULL, LOWER
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.matrix_pattern import DIAGONAL, FULL, LOWER
 from ..models.noise import ImuNoise
 from ..models.target import Target
 from ..results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration

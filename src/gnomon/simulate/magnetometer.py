@@ -16,7 +16,8 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..results.sensors import TemperatureDependence, rotate_imu
+from ..results.moved import rotate_imu
+from ..results.temperature_dependence import TemperatureDependence
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .scenarios.recorded import FieldScenario, Scenario
 from .scenarios.temperature import TemperatureScenario

@@ -7,7 +7,8 @@ import numpy as np
 
 from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamples, TriadSamples
-from ..results.sensors import ImuCalibration, TemperatureDependence
+from ..results.sensors import ImuCalibration
+from ..results.temperature_dependence import TemperatureDependence
 from .imu import simulate_imu
 from .scenarios.recorded import NoiseScenario, Scenario
 from .scenarios.temperature import TemperatureScenario

@@ -10,7 +10,7 @@ from ..models.frames import frame_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
-from ..results.sensors import rotate_imu
+from ..results.moved import rotate_imu
 from .poses import rest_directions
 from .scenarios.recorded import PoseScenario, Scenario, TurntableScenario
 from .sensor import drawn_imu, sensor_converters, true_calibration

@@ -9,7 +9,7 @@ from ..calibrate.camera_imu import calibrate_camera_imu
 from ..errors import GnomonError
 from ..frozen import field_names, value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ..models.matrix_pattern import DIAGONAL, LOWER
+from ..models.forms import DIAGONAL, LOWER
 from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples

@@ -19,8 +19,8 @@ from ..output import write_together
 from ..recording import Floats, ImuSamples, Recording
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
-from ..results.parameters import calibration_parameters, parameter_unit
 from ..results.result import Result
+from ..results.sensors import calibration_parameters, parameter_unit
 from .pose_files import TRAJECTORY_FILE, trajectory_text
 
 CAMERA_IMU_FILES = (CAMCHAIN_FILE, IMU_FILE, RESULTS_FILE, TRAJECTORY_FILE)

@@ -18,7 +18,7 @@ from ..findings import printable_text
 from ..output import write_whole
 from ..recording import Floats
 from ..results.calibration import Calibration
-from ..results.parameters import calibration_parameters, element_units
+from ..results.sensors import calibration_parameters, element_units
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 SCHEMA_VERSION = "3.2.1"

@@ -21,7 +21,7 @@ from ..results.calibration import (
     ImuCalibration,
     calibration_parameters,
 )
-from ..results.parameters import element_units
+from ..results.sensors import element_units
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 

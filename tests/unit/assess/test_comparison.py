@@ -15,7 +15,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import Source
 from gnomon.results.calibration import Calibration, Covariance, Gravity
-from gnomon.results.parameters import calibration_parameters
+from gnomon.results.sensors import calibration_parameters
 
 SI = ("m/s^2", "rad/s")
 

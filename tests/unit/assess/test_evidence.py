@@ -12,7 +12,8 @@ from gnomon.calibrate.steps.camera_imu_preparation import evidence_of_imu, known
 from gnomon.errors import OptionError
 from gnomon.models.frames import frame_rotation
 from gnomon.results.calibration import Calibration, Covariance
-from gnomon.results.sensors import ImuCalibration, rotate_imu
+from gnomon.results.moved import rotate_imu
+from gnomon.results.sensors import ImuCalibration
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.scenarios.recorded import Scenario
 

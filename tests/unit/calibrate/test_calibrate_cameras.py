@@ -7,7 +7,7 @@ from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.calibrate.steps.camera_lenses import CANDIDATES, stated_models
 from gnomon.errors import OptionError
 from gnomon.options import CameraOptions
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario
 

@@ -12,7 +12,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.report.camera_imu.page import camera_imu_page
 from gnomon.report.rig_parameters import placed_imu_groups
 from gnomon.results.calibration import Covariance
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 from gnomon.writers.camera_imu_files import residual_statistics
 
 POSE = np.eye(4)

@@ -12,9 +12,8 @@ from camera_imu_problem import problem
 from gnomon.estimate.camera_imu.result.publish import publish_rig
 from gnomon.estimate.camera_imu.result.uncertainty import FixedParameterEffect, Uncertainty
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.models.forms import KrebsAccelerometer, KrebsGyroscope
-from gnomon.models.matrix_pattern import LOWER
-from gnomon.results.parameters import calibration_parameters, covariance_names
+from gnomon.models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
+from gnomon.results.sensors import calibration_parameters, covariance_names
 
 MODELS = (("pinhole", "fov"), ("ds", "none"), ("eucm", "radtan"))
 

@@ -16,7 +16,7 @@ from gnomon.models.frames import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.report.drawing.rig import origin_figure
 from gnomon.results.calibration import Covariance
-from gnomon.results.parameters import calibration_parameters, covariance_names
+from gnomon.results.sensors import calibration_parameters, covariance_names
 from gnomon.results.trust import Need, UncertaintySummary
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario

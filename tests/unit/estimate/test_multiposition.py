@@ -24,7 +24,7 @@ from gnomon.geometry.rotation_vector import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.results.calibration import ImuCalibration, calibration_parameters, rotate_imu
-from gnomon.solve.arrow import solve_arrow
+from gnomon.solve.least_squares import solve_arrow
 
 SMALL = {"intervals": 16, "t_init_s": 5.0, "hold_s": (2.5, 3.5)}
 QUIET = {"accelerometer_noise_density": 1e-6, "gyroscope_noise_density": 1e-6}

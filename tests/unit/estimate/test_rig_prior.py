@@ -15,8 +15,7 @@ from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.recording import KnownRig
-from gnomon.results.parameters import covariance_names
-from gnomon.results.sensors import CameraCalibration
+from gnomon.results.sensors import CameraCalibration, covariance_names
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 
 SCENARIO = gnomon.CameraImuScenario(duration_s=12.0, cameras=2)

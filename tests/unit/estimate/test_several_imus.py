@@ -31,7 +31,8 @@ from gnomon.models.frames import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.results.calibration import Calibration, Covariance
-from gnomon.results.parameters import calibration_parameters, covariance_names, moved_into_frame, moved_to_origin
+from gnomon.results.moved import moved_into_frame, moved_to_origin
+from gnomon.results.sensors import calibration_parameters, covariance_names
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 

@@ -23,7 +23,7 @@ from gnomon.fleet import schema
 from gnomon.fleet.entries import LibraryEntry
 from gnomon.fleet.export import export_table
 from gnomon.fleet.library import Library
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.temperature_dependence import TemperatureDependence
 
 TESTS = str(Path(__file__).parents[2])
 

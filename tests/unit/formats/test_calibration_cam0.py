@@ -15,7 +15,7 @@ from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.sensor_inputs import read_cameras, read_rig
 from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 from gnomon.results.trust import UncertaintySummary
 from gnomon.writers.tables import form_tables, summary_table
 

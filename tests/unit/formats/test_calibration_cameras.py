@@ -12,7 +12,8 @@ from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from gnomon.results.calibration import CameraCalibration
-from gnomon.results.parameters import calibration_parameters, covariance_names, element_names, moved_into_frame
+from gnomon.results.moved import moved_into_frame
+from gnomon.results.sensors import calibration_parameters, covariance_names, element_names
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 CAMERA_PATHS = (

@@ -18,7 +18,7 @@ from gnomon.formats.shared.losses import formats_of
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

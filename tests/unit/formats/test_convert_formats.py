@@ -19,7 +19,7 @@ from gnomon.formats.shared.losses import Context, StatedImu
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
-from gnomon.results.parameters import calibration_parameters, covariance_names
+from gnomon.results.sensors import calibration_parameters, covariance_names
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

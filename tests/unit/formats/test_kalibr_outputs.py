@@ -20,7 +20,7 @@ from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.results.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 from gnomon.writers.camera_imu_files import camera_imu_texts, residual_statistics, save_camera_imu_files
 from kalibr_imus import read_kalibr
 

@@ -11,10 +11,10 @@ from gnomon.errors import OptionError
 from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.shared.lens_refit import with_known_lenses
-from gnomon.models.camera import Camera
-from gnomon.models.lens_names import PROGRAMS, knows_lens, models_of, refit_models
+from gnomon.models.camera import Camera, knows_lens
+from gnomon.models.lens_names import PROGRAMS, models_of, refit_models
 from gnomon.results.calibration import Covariance
-from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import covariance_names
 
 EUCM = Camera(
     projection="eucm", intrinsics=[0.62, 1.08, 458.0, 456.5, 362.2, 246.1], distortion="none", distortion_coeffs=[],

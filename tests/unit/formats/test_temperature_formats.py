@@ -13,9 +13,10 @@ import gnomon
 from gnomon.formats.foreign_files import load_any
 from gnomon.formats.shared.si_units import with_full_scale
 from gnomon.recording import ImuSamples, TemperatureSamples, TriadSamples
-from gnomon.results.at_temperature import imus_at_temperature
 from gnomon.results.calibration import Covariance, calibration_parameters, covariance_names
-from gnomon.results.sensors import MagnetometerCalibration, TemperatureDependence
+from gnomon.results.moved import imus_at_temperature
+from gnomon.results.sensors import MagnetometerCalibration
+from gnomon.results.temperature_dependence import TemperatureDependence
 from gnomon.simulate import Scenario, simulate
 
 FOUND = TemperatureDependence(

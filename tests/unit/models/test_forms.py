@@ -6,13 +6,15 @@ import pytest
 from gnomon.errors import OptionError
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
+    KalibrAccelerometer,
+    KalibrGyroscope,
     KrebsAccelerometer,
     KrebsGyroscope,
     TedaldiAccelerometer,
     TedaldiGyroscope,
 )
 from gnomon.models.frames import frame_rotation
-from gnomon.models.project_forms import ImucalAccelerometer, ImuTkTriad, KalibrAccelerometer, KalibrGyroscope
+from gnomon.models.project_forms import ImucalAccelerometer, ImuTkTriad
 
 RNG = np.random.default_rng(5)
 LOWER = np.array([[412.0, 0, 0], [3.1, 410.5, 0], [-7.2, 4.4, 415.0]])

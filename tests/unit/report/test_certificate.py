@@ -19,7 +19,7 @@ from gnomon.report.certificate_pdf import page_one, write_certificate
 from gnomon.report.page import parameter_line, write_report
 from gnomon.results.calibration import Covariance, Provenance
 from gnomon.results.sensor_noise import AxisNoise, Coefficient, SensorNoise, TriadNoise
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.temperature_dependence import TemperatureDependence
 from html_page import Page
 
 FACTS = CertificateFacts(sensor="BMI270 <3>", serial="A-17", date="2026-03-31", temperature_c=21.5)

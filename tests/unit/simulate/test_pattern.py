@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.models.matrix_pattern import DIAGONAL, FULL, LOWER
+from gnomon.models.forms import DIAGONAL, FULL, LOWER
 
 PATTERNS = {"diagonal": DIAGONAL, "lower": LOWER, "full": FULL}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from gnomon.solve.nonnegative import solve_nonnegative
+from gnomon.solve.least_squares import solve_nonnegative
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 0.3])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.solve.arrow import ArrowSystem, reduced_normal_equations, solve_arrow
-from gnomon.solve.levenberg_marquardt import levenberg_marquardt
+from gnomon.solve.least_squares import ArrowSystem, levenberg_marquardt, reduced_normal_equations, solve_arrow
 
 
 def random_system(n, d, p, seed):

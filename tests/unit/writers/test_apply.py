@@ -13,7 +13,7 @@ from gnomon.readers.samples import stream_text
 from gnomon.readers.samples.stream import open_stream, stream_of
 from gnomon.recording import ImuSamples, Recording, TemperatureSamples, TriadSamples
 from gnomon.results.calibration import interpolate_triad
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.temperature_dependence import TemperatureDependence
 from gnomon.units import Units
 from gnomon.writers import apply as module
 from gnomon.writers.apply import apply_files, write_calibrated

@@ -11,7 +11,7 @@ from gnomon.assess.uncertainty_budget import uncertainty_budget
 from gnomon.errors import OptionError
 from gnomon.findings import Finding
 from gnomon.results.calibration import Covariance, Source
-from gnomon.results.sensors import TemperatureDependence
+from gnomon.results.temperature_dependence import TemperatureDependence
 from gnomon.writers.digital_certificate import si_unit, write_digital_certificate
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}

@@ -20,7 +20,7 @@ from ...results.camera_diagnostics import (
     NoiseLevel,
     ViewPose,
 )
-from ...results.parameters import calibration_parameters, element_names
+from ...results.sensors import calibration_parameters, element_names
 from ...results.trust import Trust
 
 CELLS = (8, 10)

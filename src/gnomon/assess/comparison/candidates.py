@@ -18,7 +18,8 @@ from ...frozen import FrozenMapping, value_class
 from ...models.camera import Camera
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import TRUTH_METHOD, Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
-from ...results.parameters import calibration_parameters, covariance_names, element_names, moved_into_frame
+from ...results.moved import moved_into_frame
+from ...results.sensors import calibration_parameters, covariance_names, element_names
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 FRAME = "accel-x"

@@ -11,7 +11,8 @@ from ...findings import Finding, join_names, make_finding
 from ...models.frames import Origin
 from ...recording import Floats
 from ...results.calibration import Covariance
-from ...results.parameters import element_names, moved_to_origin
+from ...results.moved import moved_to_origin
+from ...results.sensors import element_names
 from .candidates import ComparisonCandidate
 from .comparison import Difference, Repeatability
 

@@ -13,7 +13,7 @@ from ...models.frames import frame_turn, rotation_jacobian
 from ...options.requirements import BETWEEN_RECORDINGS
 from ...recording import Floats, frozen_array
 from ...results.calibration import CameraCalibration, ImuCalibration
-from ...results.parameters import calibration_parameters, covariance_names
+from ...results.sensors import calibration_parameters, covariance_names
 from .candidates import FRAME, ComparisonCandidate
 
 Kind = Literal[

@@ -26,7 +26,7 @@ from ...results.sensor_diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from ...results.trust import Trust
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 

@@ -14,8 +14,8 @@ from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats
 from ...results.calibration import Assessment, Calibration, Holdout
-from ...results.parameters import calibration_parameters
 from ...results.result import Result
+from ...results.sensors import calibration_parameters
 from ...results.trust import UncertaintySummary
 from ..comparison.comparison import standing_out
 from ..needs import general_precision, number_words

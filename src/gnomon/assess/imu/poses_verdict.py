@@ -15,9 +15,9 @@ from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
-from ...results.parameters import element_names
 from ...results.result import Booleans
 from ...results.sensor_diagnostics import PoseTable, TriadDiagnostics
+from ...results.sensors import element_names
 from ..priors import NAMES, TRIADS
 from ..verdict import (
     bias_findings,

@@ -45,7 +45,7 @@ from ...progress import Progress
 from ...recording import Floats, Recording
 from ...recording.thermometer import TemperatureCourse, temperature_course
 from ...results.calibration import Calibration, CameraCalibration, Gravity
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from .camera_imu_model import candidate_blocks, proven_board
 from .camera_imu_preparation import PreparedCameraImu, evidence_of_imu, imu_of
 from .temperature_while_turned import rose_and_fell, temperature_powers

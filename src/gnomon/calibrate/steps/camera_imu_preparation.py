@@ -25,8 +25,7 @@ from ...estimate.camera_imu.terms.inertial_terms import ImuBeforehand, InertialD
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
-from ...models.forms import KrebsAccelerometer, KrebsGyroscope
-from ...models.matrix_pattern import LOWER
+from ...models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
 from ...models.noise import CONSUMER_MEMS
 from ...models.target import Target
 from ...options import CameraImuOptions

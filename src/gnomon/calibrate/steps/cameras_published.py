@@ -12,7 +12,7 @@ from ...frozen import value_class
 from ...options import CameraOptions
 from ...recording import Floats
 from ...results.calibration import CameraCalibration
-from ...results.parameters import covariance_names
+from ...results.sensors import covariance_names
 from ...results.trust import Trust
 from .camera_lenses import IndependentViews
 

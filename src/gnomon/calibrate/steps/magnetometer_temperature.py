@@ -13,7 +13,7 @@ from ...frozen import value_class
 from ...recording import Floats, Integers, TemperatureSamples
 from ...recording.thermometer import temperature_course
 from ...results.calibration import Calibration
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from .temperature_while_turned import temperature_powers
 
 _PARTS = ("magnetometer_bias", "magnetometer_sensitivity")  # as the covariance lists them

@@ -15,7 +15,7 @@ from ...estimate.multiposition.problem import MultiPositionProblem
 from ...frozen import value_class
 from ...recording import Floats, Integers, TemperatureSamples
 from ...recording.thermometer import known_readings, temperature_course
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 
 _BOTH_WAYS_K, _BOTH_WAYS_STEPS, _BOTH_WAYS_SHARE = 4.0, 4.0, 0.3
 """How far the temperature has to rise, and to fall: in kelvins, steps of the thermometer, and of its range."""

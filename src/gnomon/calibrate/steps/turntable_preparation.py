@@ -17,7 +17,7 @@ from ...options import StatedRate, TurntableOptions
 from ...recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples
 from ...recording.thermometer import temperature_course
 from ...results.result import Booleans, StaticIntervals, interval_means
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from ...units import GYROSCOPE_UNITS_RAD_S
 from .temperature_while_turned import rose_and_fell, temperature_powers
 from .turntable_attitudes import PlatterStream, turntable_parts

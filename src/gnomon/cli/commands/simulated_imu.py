@@ -108,7 +108,7 @@ def comparison_table(estimate: "Calibration", truth: "Calibration") -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    from ...results.parameters import parameter_unit
+    from ...results.sensors import parameter_unit
 
     table = Table(box=box.SIMPLE_HEAD, title="estimate and truth", pad_edge=False)
     table.add_column("parameter", max_width=26)

@@ -26,7 +26,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ...solve.nonnegative import solve_nonnegative
+from ...solve.least_squares import solve_nonnegative
 from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 
 _SIGNIFICANT = 3.0  # sigmas

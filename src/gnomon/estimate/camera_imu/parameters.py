@@ -10,8 +10,8 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import tangent_basis
 from ...models.camera import Camera
+from ...models.forms import DIAGONAL, LOWER
 from ...models.frames import Origin
-from ...models.matrix_pattern import DIAGONAL, LOWER
 from ...models.target import Target
 from ...recording import Floats, KnownRig
 

@@ -18,7 +18,7 @@ from ...models.lens_names import DistortionName, ProjectionName
 from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...solve.levenberg_marquardt import levenberg_marquardt
+from ...solve.least_squares import levenberg_marquardt
 from ..camera_imu.start.board_poses import homography_poses, thin_exposures
 from ..camera_imu.terms.visual_terms import CornerNoise
 from .layout import SharedLayout, lens_bounds, stated_shape

@@ -31,7 +31,7 @@ from ...geometry.rotation_vector import invert_matrix, tangent_basis
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import BlockChange, ModelStep
-from ...solve.arrow import ArrowSolution, reduced_normal_equations, solve_arrow
+from ...solve.least_squares import ArrowSolution, reduced_normal_equations, solve_arrow
 from ..trust.clusters import CandidateBlock, CandidateStep, ClusterSums, model_steps
 from .bias_changes import DECAYS, shares_before
 from .bias_functions import decay_functions, step_functions

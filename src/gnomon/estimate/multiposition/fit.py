@@ -15,7 +15,7 @@ from ...geometry.rotation_vector import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...results.result import Booleans
-from ...solve.arrow import ArrowSolution, solve_arrow
+from ...solve.least_squares import ArrowSolution, solve_arrow
 from ...units import STANDARD_GRAVITY_M_S2
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
 from .bias_functions import (

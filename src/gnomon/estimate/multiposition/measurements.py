@@ -19,7 +19,7 @@ from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running
 from ...kernel import load_kernel
 from ...kernel.library import integrate_segments
 from ...recording import Floats, Integers, frozen_array
-from ...solve.levenberg_marquardt import LeastSquaresSolution, levenberg_marquardt
+from ...solve.least_squares import LeastSquaresSolution, levenberg_marquardt
 
 _PART = 100_000  # samples
 

@@ -19,7 +19,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats, Integers
-from ...solve.arrow import ArrowSystem, column_products
+from ...solve.least_squares import ArrowSystem, column_products
 from .bias_changes import RestMeans
 from .measurements import MotionSegments, integrate_rates, propagate_directions
 

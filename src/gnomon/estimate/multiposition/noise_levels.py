@@ -18,7 +18,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
 from ...results.result import Booleans
-from ...solve.arrow import ArrowSolution
+from ...solve.least_squares import ArrowSolution
 from .measurements import MotionSegments, integrate_rates
 from .model import MultiPositionData, MultiPositionLinearization, MultiPositionState, Whitening
 

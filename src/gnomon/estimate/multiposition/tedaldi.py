@@ -13,7 +13,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import skew
 from ...recording import Floats
 from ...results.result import StaticIntervals, interval_means
-from ...solve.levenberg_marquardt import levenberg_marquardt
+from ...solve.least_squares import levenberg_marquardt
 from .measurements import (
     MagnitudeFit,
     MotionSegments,

@@ -34,7 +34,7 @@ from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
-from ...solve.arrow import reduced_normal_equations
+from ...solve.least_squares import reduced_normal_equations
 from ..trust.changes import STEADILY, TOLD_APART
 from .evidence import with_runs
 from .fit import GATE_SIGMA, MultiPositionFit, sum_of_squares

@@ -13,7 +13,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats
 from ...results.result import Booleans
-from ...solve.levenberg_marquardt import levenberg_marquardt
+from ...solve.least_squares import levenberg_marquardt
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadNoiseLevels, TriadProblem, TriadResiduals, noise_at, triad_residuals
 

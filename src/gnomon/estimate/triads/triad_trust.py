@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...recording import Floats, Integers
-from ...results.parameters import element_names
+from ...results.sensors import element_names
 from ...results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 from ..trust.changes import parameter_changes
 from ..trust.clusters import ClusterSums, Robust

@@ -22,7 +22,7 @@ from ...frozen import value_class
 from ...options import StatedRate
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from ..multiposition.bias_functions import walk_density
 
 _ACROSS = 0.08  # share of the rate that may lie across the axis while the platter takes up its speed

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ...frozen import field_names, value_class
+from ...models.forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.noise import ImuNoise
-from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, ForeignImu, ideal_imu, recognised_frame

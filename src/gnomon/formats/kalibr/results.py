@@ -13,8 +13,8 @@ import numpy as np
 from ...errors import FormatError, OptionError
 from ...frozen import value_class
 from ...models.camera import Camera
+from ...models.forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.noise import ImuNoise
-from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.target import Target
 from ...recording import Floats
 from ...results.calibration import (

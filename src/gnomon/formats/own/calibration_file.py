@@ -34,7 +34,7 @@ from ...results.calibration import (
     calibration_parameters,
     covariance_names,
 )
-from ...results.sensors import TEMPERATURE_PARTS, TemperatureDependence
+from ...results.temperature_dependence import TEMPERATURE_PARTS, TemperatureDependence
 from ...results.trust import VERDICTS, Need, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml

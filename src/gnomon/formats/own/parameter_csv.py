@@ -24,8 +24,8 @@ from ...results.calibration import (
     calibration_parameters,
     element_names,
 )
-from ...results.parameters import element_units
-from ...results.sensors import HIGHEST_ORDER, TEMPERATURE_PARTS, TemperatureDependence
+from ...results.sensors import element_units
+from ...results.temperature_dependence import HIGHEST_ORDER, TEMPERATURE_PARTS, TemperatureDependence
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..foreign import ForeignCalibration, recognised_frame
 from ..shared.entries import IMU_EQUATION, camera_equation

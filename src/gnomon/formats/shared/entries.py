@@ -17,6 +17,8 @@ from ...models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
     CorrectedTriad,
+    KalibrAccelerometer,
+    KalibrGyroscope,
     KrebsAccelerometer,
     KrebsGyroscope,
     TedaldiAccelerometer,
@@ -24,10 +26,9 @@ from ...models.forms import (
     in_own_axes,
 )
 from ...models.frames import Floats
-from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.projections import PROJECTIONS
 from ...results.calibration import Calibration
-from ...results.parameters import unit_ratio
+from ...results.sensors import unit_ratio
 from .losses import Loss
 
 _GRAVITY_M_S2 = 9.81

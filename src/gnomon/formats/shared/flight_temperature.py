@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 
 ARDUPILOT_REFERENCE_DEGC = 35.0
 _TRIADS = {"accelerometer": ("A", "ACC"), "gyroscope": ("G", "GYR")}

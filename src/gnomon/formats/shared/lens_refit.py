@@ -14,12 +14,12 @@ import numpy as np
 from ...errors import InitialisationError, OptionError
 from ...findings import join_names
 from ...frozen import value_class
-from ...models.camera import Camera
-from ...models.lens_names import knows_lens, models_of, refit_models
+from ...models.camera import Camera, knows_lens
+from ...models.lens_names import models_of, refit_models
 from ...models.projections import PROJECTIONS
 from ...recording import Floats
 from ...results.calibration import Calibration, CameraCalibration, Covariance
-from ...results.parameters import covariance_names
+from ...results.sensors import covariance_names
 from .losses import Loss, formats_of
 
 _NEAR_GRID = 40  # pixels of the grid along each side of the image

@@ -12,9 +12,9 @@ import numpy as np
 from ...errors import OptionError
 from ...findings import join_names
 from ...frozen import value_class
-from ...models.camera import Camera
+from ...models.camera import Camera, knows_lens
 from ...models.frames import AXES, Floats, frame_rotation
-from ...models.lens_names import PROGRAMS, knows_lens
+from ...models.lens_names import PROGRAMS
 from ...models.noise import ImuNoise
 from ...results.calibration import Calibration, ImuCalibration, calibration_parameters, element_names
 from ...units import STANDARD_GRAVITY_M_S2

@@ -12,7 +12,7 @@ from ...frozen import field_names, value_class
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
-from ...results.sensors import TemperatureDependence
+from ...results.temperature_dependence import TemperatureDependence
 from ...units import STANDARD_GRAVITY_M_S2
 from .lens_refit import k3_losses
 from .losses import (

@@ -14,11 +14,11 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.rotation_vector import skew
+from ....models.forms import DIAGONAL, FULL, LOWER
 from ....models.frames import EVEN_WEIGHTS, Origin
-from ....models.matrix_pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
-from ....results.parameters import covariance_names
+from ....results.sensors import covariance_names
 from ....results.trust import SigmaRatio, Splits, Trust
 from ...trust.changes import estimates_are_judged, parameter_changes
 from ...trust.clusters import robust_variances

@@ -13,7 +13,7 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
-from ....models.matrix_pattern import DIAGONAL, FULL, LOWER
+from ....models.forms import DIAGONAL, FULL, LOWER
 from ....recording import Floats
 from ..parameters import RigParameters
 from ..trajectory import POSE, Bases, MotionState, Places, Trajectory

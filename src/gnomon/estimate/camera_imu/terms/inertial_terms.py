@@ -29,7 +29,7 @@ from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
 from ....geometry.rotation_vector import acceleration_by_place, along_axes
 from ....kernel import library
-from ....models.matrix_pattern import LOWER
+from ....models.forms import LOWER
 from ....models.noise import ImuNoise
 from ....recording import Floats, Integers
 from ..layout import BorderLayout, Status

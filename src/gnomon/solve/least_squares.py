@@ -1,6 +1,7 @@
-"""Least squares in which many small states form a chain and few parameters touch them all.
+"""Least squares: dense, by Levenberg and Marquardt; not below zero; and chains of small states with a border.
 
-The normal matrix is block tridiagonal with a border (an arrow):
+A chain: many small states of which each touches the next, and few parameters touch them all. The normal matrix is block
+tridiagonal with a border (an arrow):
 
     [ D0  E0            F0 ]
     [ E0' D1  E1        F1 ]
@@ -11,14 +12,126 @@ It is factorised from the first block to the last; time and memory grow linearly
 larger blocks first, so that the work is done in few calls of LAPACK.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
 
+_LEAST_GROWTH = 1e-13  # of a column's product with the right side that counts as growth
+
 Floats = NDArray[np.float64]
 
 _GATHERED = 48  # scalars in a block; measured: flat between 30 and 100
+
+
+@value_class
+class LeastSquaresSolution:
+    """The minimum of 1/2 |r(x)|^2.
+
+    Attributes
+    ----------
+    x : (n,) parameters
+    residual : (m,) at x
+    jacobian : (m, n) at x
+    iterations : accepted and rejected steps
+    converged : whether a step became negligible
+    """
+
+    x: Floats
+    residual: Floats
+    jacobian: Floats
+    iterations: int
+    converged: bool
+
+    @property
+    def cost(self) -> float:
+        """1/2 |r|^2."""
+        return 0.5 * float(self.residual @ self.residual)
+
+
+def levenberg_marquardt(
+    problem: Callable[[Floats], tuple[Floats, Floats]],
+    start: Floats,
+    tolerance: float = 1e-12,
+    most_iterations: int = 100,
+) -> LeastSquaresSolution:
+    """Minimise 1/2 |r(x)|^2 with Marquardt's scaling; damped only after a rejected step.
+
+    Parameters
+    ----------
+    problem : x (n,) -> residual (m,), Jacobian (m, n)
+    start : (n,)
+    tolerance : a step is negligible when its scaled length is below tolerance times that of x
+    most_iterations : bound on the number of steps tried
+    """
+    x = start.astype(np.float64)
+    residual, jacobian = problem(x)
+    damping, iteration, converged = 0.0, 0, False
+    scale = np.zeros(len(x))
+    while iteration < most_iterations and not converged:
+        iteration += 1
+        scale = np.maximum(scale, np.linalg.norm(jacobian, axis=0))
+        scaled = jacobian / np.where(scale > 0, scale, 1.0)
+        step = _damped_step(scaled, residual, damping) / np.where(scale > 0, scale, 1.0)
+        trial = x + step
+        trial_residual, trial_jacobian = problem(trial)
+        gain = residual @ residual - trial_residual @ trial_residual
+        small = np.linalg.norm(scale * step) <= tolerance * (np.linalg.norm(scale * x) + np.linalg.norm(residual))
+        if np.isfinite(gain) and gain >= 0:
+            x, residual, jacobian = trial, trial_residual, trial_jacobian
+            damping = 0.0 if damping < 1e-6 else damping / 10
+        else:
+            damping = max(10 * damping, 1e-4)
+        converged = bool(small)
+    return LeastSquaresSolution(x=x, residual=residual, jacobian=jacobian, iterations=iteration, converged=converged)
+
+
+def _damped_step(scaled: Floats, residual: Floats, damping: float) -> Floats:
+    """Return the step of one damping by QR of the scaled Jacobian, which keeps digits that normal equations lose."""
+    n = scaled.shape[1]
+    if damping:
+        scaled = np.concatenate([scaled, np.sqrt(damping) * np.eye(n)])
+        residual = np.concatenate([residual, np.zeros(n)])
+    q, r = np.linalg.qr(scaled)
+    if np.abs(np.diag(r)).min() > 1e-13:
+        return -np.asarray(np.linalg.solve(r, q.T @ residual), dtype=np.float64)
+    return -np.asarray(np.linalg.lstsq(scaled, residual, rcond=1e-12)[0], dtype=np.float64)
+
+
+def solve_nonnegative(A: Floats, b: Floats, near: Floats | None = None) -> Floats:
+    """Return the x >= 0, (n,), with the least |A x - b|, by the active sets of Lawson and Hanson (1974), chapter 23.
+
+    Parameters
+    ----------
+    A : (m, n) of full rank
+    b : (m,)
+    near : (n,) of a problem much like it: what is above zero there is taken to be so first
+    """
+    x, free = np.zeros(A.shape[1]), np.zeros(A.shape[1], dtype=bool)
+    if near is not None and (near > 0).any():
+        first = np.linalg.lstsq(A[:, near > 0], b)[0]
+        if (first > 0).all():
+            free = near > 0
+            x[free] = first
+    least = _LEAST_GROWTH * np.linalg.norm(A, axis=0) * np.linalg.norm(b)
+    for _ in range(10 * len(x)):
+        growth = np.where(free, 0.0, A.T @ (b - A @ x) - least)
+        if growth.max(initial=0.0) <= 0:
+            break
+        free[np.argmax(growth)] = True
+        while True:
+            ahead = np.zeros(len(x))
+            ahead[free] = np.linalg.lstsq(A[:, free], b)[0]
+            below = free & (ahead <= 0)
+            if not below.any():
+                break
+            share = x[below] / (x[below] - ahead[below])
+            x = x + share.min() * (ahead - x)
+            free[np.flatnonzero(below)[share <= share.min()]] = False
+        x = ahead
+    return x
 
 
 @value_class
