@@ -12,8 +12,7 @@ from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
 from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
-from gnomon.estimate.camera_imu.start.first_guess import align_cameras, imu_stream
-from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
+from gnomon.estimate.camera_imu.start.first_guess import ImuPath, align_cameras, imu_stream, initial_trajectory
 from gnomon.estimate.camera_imu.terms.inertial_terms import InertialNoise
 from gnomon.estimate.camera_imu.terms.visual_terms import VisualData
 from gnomon.estimate.camera_imu.trajectory import POSE

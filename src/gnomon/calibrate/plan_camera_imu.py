@@ -16,8 +16,7 @@ from ..estimate.camera_imu.result.publish import publish_rig
 from ..estimate.camera_imu.result.uncertainty import solution_uncertainty
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.board_poses import gather_exposures
-from ..estimate.camera_imu.start.first_guess import per_corner
-from ..estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
+from ..estimate.camera_imu.start.first_guess import ImuPath, initial_trajectory, per_corner
 from ..estimate.camera_imu.terms.inertial_terms import (
     DEFAULT_PER_S,
     KNOTS_PER_PERIOD,

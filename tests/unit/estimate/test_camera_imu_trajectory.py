@@ -8,7 +8,7 @@ import pytest
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.errors import InitialisationError
 from gnomon.estimate.camera_imu.batch import mean_weights
-from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, imu_path, initial_trajectory
+from gnomon.estimate.camera_imu.start.first_guess import ImuPath, imu_path, initial_trajectory
 from gnomon.estimate.camera_imu.terms.inertial_terms import knots_per_s, motion_limit_hz, power_spectrum
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation

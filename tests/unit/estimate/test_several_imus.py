@@ -14,8 +14,8 @@ from gnomon.assess.cameras.rig_residuals import cut_findings
 from gnomon.errors import FormatError, OptionError
 from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.parameters import ImuParameters
+from gnomon.estimate.camera_imu.start.first_guess import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.start.imu_alignment import with_stated_pose
-from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.terms.inertial_terms import (
     InertialData,
     TriadData,

@@ -26,7 +26,7 @@ from ...trust.parts import Split, part_agreement, part_differences
 from ..layout import BorderLayout
 from ..parameters import CameraParameters, ImuParameters, RigParameters
 from ..solution import Solution
-from ..start.initial_trajectory import fitted_splines
+from ..start.first_guess import fitted_splines
 from ..trajectory import POSE, Bases, Trajectory
 from .uncertainty import TimeClusters, Uncertainty
 
