@@ -164,7 +164,7 @@ from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras, read_imus
 from gnomon.recording import Recording
 from gnomon.report.page import write_report
-from gnomon.writers.camera_imu_files import save_camera_imu_files
+from gnomon.writers.kalibr_files import save_camera_imu_files
 from gnomon.formats.own.calibration_text import save
 from gnomon.writers.diagnostics_file import save_diagnostics
 from dataclasses import replace

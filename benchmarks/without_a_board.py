@@ -36,7 +36,7 @@ from gnomon.errors import GnomonError
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.simulate import RoomScenario, camera_imu_path, simulate_camera_imu
 from gnomon.study import circuit_rig
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 USUAL = RoomScenario(imu="thesis", gyroscope_random_walk=2e-4, random_extrinsics=True)
 # for what is hard, or hopeless: blur takes the renderer a second for a full image

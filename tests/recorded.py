@@ -26,8 +26,8 @@ from gnomon.recording.frames import ImageStream
 from gnomon.recording.recording import ImageRecording
 from gnomon.results.calibration import Calibration
 from gnomon.writers.bag_recording import save_bag
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 from gnomon.writers.euroc_folder import save_euroc
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 SMALL: dict[str, Any] = {
     "images": True,

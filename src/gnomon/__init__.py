@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from .formats.conversion import convert
     from .formats.foreign import ForeignCalibration
     from .formats.foreign_files import load_foreign
-    from .formats.kalibr.cam_results import save_camera_files
     from .formats.own.calibration_file import load
     from .formats.own.calibration_text import save
     from .formats.own.noise_file import load_noise, save_noise
@@ -100,7 +99,7 @@ if TYPE_CHECKING:
         simulate_turntable,
     )
     from .units import Units
-    from .writers.camera_imu_files import save_camera_imu_files
+    from .writers.kalibr_files import save_camera_files, save_camera_imu_files
 
 _HOMES = {
     name: home
@@ -121,7 +120,6 @@ _HOMES = {
         "formats.conversion": "convert",
         "formats.foreign": "ForeignCalibration",
         "formats.foreign_files": "load_foreign",
-        "formats.kalibr.cam_results": "save_camera_files",
         "formats.own.calibration_file": "load",
         "formats.own.calibration_text": "save",
         "formats.own.noise_file": "load_noise save_noise",
@@ -152,7 +150,7 @@ _HOMES = {
             "simulate_turntable"
         ),
         "units": "Units",
-        "writers.camera_imu_files": "save_camera_imu_files",
+        "writers.kalibr_files": "save_camera_files save_camera_imu_files",
     }.items()
     for name in names.split()
 }

@@ -9,11 +9,14 @@ the disk before it is renamed, because of power failures.
 
 What is being written is locked as long as its process lives, so that the next writer can tell what a killed one left
 from the work of a process beside it. On Windows an open file cannot be removed or renamed, which tells the same.
+
+Inputs are guarded here, too: none is written over (`spare_inputs`), none is read that is no file (`refuse_special`).
 """
 
 import json
 import os
 import shutil
+import stat
 import sys
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
@@ -21,11 +24,10 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import IO
 
-from .errors import OutputError
+from .errors import OutputError, RecordingError
 
 READY = ".gnomon-ready"
 """Folder of files that are complete and on the way to their places."""
-
 _STAGING = ".gnomon-staging-"
 _HELD, _DROPPED = ".in-use", ".dropped"
 _OLD = ".old-"
@@ -436,3 +438,25 @@ def _remove_empty(folders: list[Path]) -> None:
     for path in folders:
         with suppress(OSError):
             path.rmdir()
+
+
+def refuse_special(path: Path) -> None:
+    """Refuse what is neither a file nor a folder: a pipe gives its bytes once, and a device has no end.
+
+    Raises
+    ------
+    RecordingError
+        If it is a pipe, a device or a socket.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError:  # whoever opens it says what is wrong
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = (
+            "a pipe" if stat.S_ISFIFO(mode) else "a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "a socket"
+        )
+        raise RecordingError(
+            f"{path}: this is {kind}, and gnomon reads its inputs more than once. Write what comes out of it into a "
+            "file, such as zcat a.csv.gz > a.csv, and give that file."
+        )

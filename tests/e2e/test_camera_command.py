@@ -10,8 +10,8 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.formats.kalibr.cam_results import read_cam_results
-from gnomon.formats.shared.baselines import baseline_of
+from gnomon.formats.kalibr.results import read_cam_results
+from gnomon.formats.shared.entries import baseline_of
 
 TARGET = "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n"
 QUICK = ("--model", "pinhole-radtan", "--board", "stated")

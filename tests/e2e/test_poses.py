@@ -11,8 +11,7 @@ from gnomon.cli.commands.poses import join_poses, pose_averages
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.recording import ImuSamples, Piece, Poses, Recording, TriadSamples
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.writers.pose_files import save_pose_files, save_poses
-from gnomon.writers.recording_file import save_recording
+from gnomon.writers.recording_file import save_pose_files, save_poses, save_recording
 
 STATED = gnomon.ImuOptions(gravity=9.80665)
 PATHS = ("imu0.accelerometer.sensitivity", "imu0.accelerometer.bias")

@@ -11,7 +11,7 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.detect.boards.checkerboard import detect_checkerboard
 from gnomon.readers.images.image_recording import open_images
 from gnomon.simulate.images.board_images import simulated_images
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 BASE = CameraImuScenario(duration_s=1.0, camera_rate_hz=5.0, images=True, exposure_s=0.005, image_noise=1.0)
 LENSES = {

@@ -13,8 +13,7 @@ from gnomon.cli.commands.poses import join_poses, pose_averages
 from gnomon.recording import Recording
 from gnomon.results.calibration import Covariance, covariance_names
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.writers.pose_files import save_pose_files, save_poses
-from gnomon.writers.recording_file import save_recording
+from gnomon.writers.recording_file import save_pose_files, save_poses, save_recording
 
 THESIS = (-0.0012, 0.0008, 0.0015, -0.0013, 0.0001, -0.0014, 0.0016, 0.0013, -0.0009)
 """Krebs, appendix A.1, row by row [rad/s per m/s^2]."""

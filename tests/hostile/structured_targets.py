@@ -21,7 +21,6 @@ from gnomon.findings import Finding
 from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import load_any, load_foreign
-from gnomon.formats.kalibr.cam_results import camera_texts
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
 from gnomon.formats.kalibr.target import read_target
@@ -37,7 +36,7 @@ from gnomon.results.calibration import Calibration, Provenance
 from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.scenarios.cameras import CamerasScenario
-from gnomon.writers.camera_imu_files import camera_imu_texts
+from gnomon.writers.kalibr_files import camera_imu_texts, camera_texts
 
 from .promise import Target
 

@@ -7,8 +7,7 @@ from math import degrees, hypot, isclose, isfinite
 import numpy as np
 from rich.table import Table
 
-from ..formats.shared.baselines import baseline_of
-from ..formats.shared.entries import camera_entries
+from ..formats.shared.entries import baseline_of, camera_entries, value_text
 from ..models.camera import knows_lens
 from ..models.frames import AXES
 from ..models.lens_names import PROGRAMS
@@ -17,7 +16,6 @@ from ..results.calibration import Calibration, CamerasFit
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from ..results.result import Result
 from ..units import share_words
-from ..writers.tables import value_text
 from .results import common_decimals, gravity_lines
 
 

@@ -100,7 +100,7 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
 def _noise(path: Path) -> "ImuNoise | None":
     """Return the noise that a file states, or None where it is no such file."""
     from ..formats.foreign_files import is_own
-    from ..formats.own.calibration_file import is_noise
+    from ..formats.own.calibration_text import is_noise
     from ..formats.own.noise_file import load_noise
 
     if is_noise(path):
@@ -151,7 +151,7 @@ def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
 
 def with_statements(found: Certified, facts: StatedFacts, paths: Iterable[Path] = ()) -> Certified:
     """Return it with what a certificate says: what was stated, and the files of the calibrations."""
-    from ..formats.own.calibration_file import calibration_at
+    from ..formats.own.calibration_text import calibration_at
     from ..readers.files import file_source
 
     stated = {name: str(value) for name, value in facts.stated.items() if value is not None}

@@ -199,7 +199,7 @@ def spared_inputs(command: object) -> Generator[None]:
     OutputError
         If the file to write is an input, or lies in a folder that is one.
     """
-    from ..formats.shared.structured import refuse_special
+    from ..output import refuse_special
 
     inputs = _inputs(command)
     for path in inputs:

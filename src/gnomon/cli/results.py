@@ -183,7 +183,7 @@ VERDICTS = {
 
 def summary_lines(calibration: "Calibration") -> Iterator[str]:
     """Yield lines on what the calibration rests on and how well it predicts what it has not seen."""
-    from ..writers.evidence_words import counted_things, held_out_errors
+    from ..results.result import counted_things, held_out_errors
 
     found = calibration.assessment
     yield f"  {counted_things(calibration):<18} {found.intervals_used} used of {found.intervals_found}"
@@ -201,7 +201,7 @@ def summary_lines(calibration: "Calibration") -> Iterator[str]:
 
 def gravity_lines(calibration: "Calibration") -> Iterator[str]:
     """Yield what was taken for gravity, unless a finding tells it."""
-    from ..writers.evidence_words import rests_on_gravity
+    from ..results.result import rests_on_gravity
 
     gravity, findings = calibration.gravity, calibration.assessment.findings
     if rests_on_gravity(calibration) and not any(one.code == "gravity" and one.severity != "good" for one in findings):
@@ -226,7 +226,7 @@ def trust_lines(note: "UncertaintySummary") -> Iterator[str]:
 
 def held_lines(calibration: "Calibration") -> Iterator[str]:
     """Yield lines on what is held by an assumption, since the recording does not determine it."""
-    from ..formats.shared.losses import prior_held_names
+    from ..results.result import prior_held_names
 
     held = list(dict.fromkeys(name.split("[")[0] for name in prior_held_names(calibration)))
     if held:

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ..results.calibration import Calibration, ImuCalibration
-from .shared.flight_parameters import FlightImu, ParameterNames, flight_losses, require_flight_imus
-from .shared.flight_temperature import ARDUPILOT_REFERENCE_DEGC
+from .shared.flight_parameters import (
+    ARDUPILOT_REFERENCE_DEGC,
+    FlightImu,
+    ParameterNames,
+    flight_losses,
+    require_flight_imus,
+)
 from .shared.losses import Context, Export, Loss
 from .shared.si_units import si_conversions
 

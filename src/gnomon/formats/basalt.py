@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
+from ..geometry.rotation_vector import inverse_pose
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import CONSUMER_MEMS, ImuNoise
@@ -26,7 +27,6 @@ from ..results.calibration import (
     ImuCalibration,
 )
 from .foreign import ForeignCalibration, ForeignImu, recognised_frame
-from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import passed_over, required_value, unit_quaternion, whole_number
 from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, unknown_lens
 from .shared.sensor_losses import Holds, not_representable

@@ -10,8 +10,16 @@ from ..models.lens_names import PROGRAMS
 from ..output import write_together
 from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
-from .shared.entries import ignored_values
-from .shared.losses import Context, Export, Loss, StatedImu, loss_sentences, origin_remarks, remark_losses
+from .shared.losses import (
+    Context,
+    Export,
+    Loss,
+    StatedImu,
+    ignored_values,
+    loss_sentences,
+    origin_remarks,
+    remark_losses,
+)
 from .shared.sensor_losses import at_middle_rows
 from .shared.si_units import with_full_scale
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import Self
 
 import numpy as np
 
@@ -40,14 +39,6 @@ class Statistics:
     mean: float
     median: float
     std: float
-
-    @classmethod
-    def of(cls, lengths: Floats) -> Self:
-        """Return the statistics of lengths (n,), at least one."""
-        return cls(mean=float(np.mean(lengths)), median=float(np.median(lengths)), std=float(np.std(lengths)))
-
-    def __str__(self) -> str:
-        return f"mean {self.mean}, median {self.median}, std: {self.std}"
 
 
 @value_class(eq=True)

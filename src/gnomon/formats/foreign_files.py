@@ -16,14 +16,14 @@ from .basalt import basalt_of, is_basalt
 from .foreign import ForeignCalibration, recognised_frame
 from .imu_tk import is_imu_tk, read_imu_tk, stated_triad
 from .imucal import read_imucal
-from .kalibr.cam_results import is_kalibr_cam_results, read_cam_results
-from .kalibr.camchain import CameraInput, cameras_of
+from .kalibr.camchain import CameraInput, cameras_of, is_kalibr_cam_results
 from .kalibr.imu import imus_of
-from .kalibr.results import is_kalibr_results, read_kalibr_results
+from .kalibr.results import is_kalibr_results, read_cam_results, read_kalibr_results
 from .kalibr.target import target_of
 from .okvis import is_okvis, okvis_of
 from .orb_slam3 import is_orb_slam3, orb_slam3_of
-from .own.calibration_file import is_noise, is_own, load
+from .own.calibration_file import load
+from .own.calibration_text import is_noise, is_own
 from .own.parameter_csv import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
 from .shared.flight_parameters import is_flight_parameters, read_flight_parameters

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.rotation_vector import inverse_pose
 from ..models.lens_names import DistortionName
 from ..recording import Floats
 from ..results.calibration import Calibration, CameraCalibration, ImuCalibration
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
-from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import noise_by_key, place_camera, read_lens, read_transform, required_value, stated_noise
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras

@@ -24,8 +24,17 @@ from ..results.calibration import (
 )
 from .kalibr.camchain import camera_chain
 from .shared.foreign_yaml import file_name, read_matrix, read_rotation
-from .shared.lens_refit import without_k3
-from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, unknown_lens
+from .shared.losses import (
+    Context,
+    Export,
+    Loss,
+    StatedImu,
+    into_frame,
+    require_triads,
+    stated_entry,
+    unknown_lens,
+    without_k3,
+)
 from .shared.sensor_losses import Holds, not_representable
 from .shared.si_units import si_conversions, si_imu
 from .shared.structured import Node

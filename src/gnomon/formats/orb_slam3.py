@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError
+from ..geometry.rotation_vector import inverse_pose
 from ..models.camera import Camera
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .kalibr.camchain import camera_baseline
-from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
     noise_by_key,
     place_camera,

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotation_vector import inverse_pose, invert_matrix
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
     place_camera,
     read_foreign_yaml,

@@ -11,10 +11,11 @@ from ..errors import FormatError
 from ..recording import KnownRig, Source, frozen_array, shared_sources
 from .basalt import basalt_of, is_basalt
 from .foreign import ForeignCalibration
-from .kalibr.cam_results import is_kalibr_cam_results, read_cam_results
-from .kalibr.camchain import CameraInput, cameras_of
+from .kalibr.camchain import CameraInput, cameras_of, is_kalibr_cam_results
 from .kalibr.imu import ImuInput, read_imu_input
-from .own.calibration_file import is_noise, is_own, load
+from .kalibr.results import read_cam_results
+from .own.calibration_file import load
+from .own.calibration_text import is_noise, is_own
 from .shared.foreign_yaml import read_foreign_yaml
 from .shared.structured import read_json, read_structured_text
 

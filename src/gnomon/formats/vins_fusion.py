@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
+from ..geometry.rotation_vector import inverse_pose
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
     noise_by_key,
     place_camera,
@@ -30,8 +30,7 @@ from .shared.foreign_yaml import (
     text_of,
     whole_number,
 )
-from .shared.lens_refit import cameras_without_k3
-from .shared.losses import Context, Export, StatedImu, unknown_lens
+from .shared.losses import Context, Export, StatedImu, cameras_without_k3, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.si_units import si_conversions
 from .shared.structured import Node

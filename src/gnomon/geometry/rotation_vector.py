@@ -66,7 +66,6 @@ def nearest_rotation(matrix: Floats) -> Floats:
 
 _SERIES_BELOW = 0.25
 """theta^2 below which the series are used: there they are exact, and above it the closed forms lose two digits only."""
-
 _BEND_SERIES_BELOW = 2.0
 _TERMS = 9
 
@@ -256,3 +255,11 @@ def along_axes(A: Floats, places: Floats) -> Floats:
     places : (3, 3) r_k, one row each [m]
     """
     return np.asarray(np.einsum("nkj,kj->nk", A, places), dtype=np.float64)
+
+
+def inverse_pose(T: Floats) -> Floats:
+    """Return the inverse of a rigid transformation (4, 4) [m], of T_cam_imu such as T_imu_cam."""
+    R = T[:3, :3].T
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R, -R @ T[:3, 3]
+    return pose

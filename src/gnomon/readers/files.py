@@ -14,8 +14,8 @@ from pathlib import Path
 from tokenize import TokenError
 
 from ..errors import OptionError, RecordingError
-from ..formats.shared.structured import refuse_special
 from ..frozen import value_class
+from ..output import refuse_special
 from ..recording import Source
 
 try:

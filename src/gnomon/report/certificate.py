@@ -24,7 +24,7 @@ from ..results.calibration import (
 )
 from ..results.sensors import element_units
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
-from .numbers import MISSING, fixed_text, number_text, readable_unit, with_sigma
+from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit
 from .page import (
     HEADLINES,
     KeyNumber,
@@ -478,5 +478,4 @@ def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> l
 def _percent(value: float, sigma: float) -> str:
     if abs(value) >= 1000:
         return f"× {number_text(1 + value / 100, 3)}"
-    text, spread = with_sigma(value, sigma, sign=True)
-    return f"{text}{f' ± {spread}' if spread else ''}\u00a0%"
+    return f"{estimate_text(value, sigma, sign=True)}\u00a0%"

@@ -255,12 +255,12 @@ def aligned_matrix(name: str, values: Floats) -> str:
     )
 
 
-def assumptions_section(calibration: Calibration, stated: Iterable[str]) -> Section:
+def assumptions_section(calibration: Calibration, stated: Iterable[str], by: str = "this recording") -> Section:
     """Return what was assumed: as stated, as the findings say, and what a prior holds."""
     points = [*stated]
     points += [typeset_finding(one).message for one in calibration.assessment.findings if one.code == "assumed"]
     if held := calibration.assessment.held_by_prior:
-        points.append(f"Not determined by this recording, and held by assumption: {', '.join(held)}.")
+        points.append(f"Not determined by {by}, and held by assumption: {', '.join(held)}.")
     return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
 
 

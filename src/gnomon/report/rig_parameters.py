@@ -14,7 +14,7 @@ from ..results.calibration import Calibration
 from ..units import STANDARD_GRAVITY_M_S2
 from .cameras.lens import field_of_view, focal_at_axis
 from .drawing.figures import AXES
-from .numbers import MISSING, estimate_text, fixed_text, number_text, with_sigma
+from .numbers import MISSING, estimate_text, fixed_text, number_text
 from .page import Parameter, ParameterGroup, ReportTable, parameter_line, with_bars
 
 _DEG = degrees(1.0)
@@ -124,8 +124,7 @@ def _own_triad(title: str, letter: str, values: Floats, spreads: Floats) -> tupl
     percents, percent_spreads = 100 * (values[:3] - 1), 100 * spreads[:3]
     scales: list[Parameter] = []
     for i, axis in enumerate(AXES):
-        percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
-        reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
+        reads_as = f"{estimate_text(float(percents[i]), float(percent_spreads[i]), sign=True)}\u00a0%"
         scales.append(parameter_line(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
     scale = ParameterGroup(
         f"{title} scale", f"S_{letter}; bars: deviation from one",

@@ -1,11 +1,12 @@
 """A calibration, and how it came about: what a report draws and `diagnostics.npz` keeps. Values only.
 
-Runs of samples in which the sensor rested.
-
-Results that can be plotted.
+Besides: runs of samples in which the sensor rested, results that can be plotted, and what a calibration rests on.
 """
 
+from collections.abc import Iterator
 from importlib import import_module
+from itertools import groupby
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError
 from ..frozen import value_class
 from ..recording import Floats, Integers, frozen_array
-from .calibration import Calibration
+from .calibration import Calibration, calibration_parameters, element_names
 from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from .sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
 
@@ -201,3 +202,58 @@ def calibration_of(given: Calibration | Result) -> Calibration:
             f"a calibration or a result is wanted, not {type(given).__name__}. gnomon.load(FILE) reads a calibration."
         )
     return calibration
+
+
+def counted_things(calibration: Calibration) -> str:
+    """Return what `intervals_found` and `intervals_used` of the assessment count, such as "poses"."""
+    if calibration.provenance.method == "turntable":
+        return "steady parts"
+    if calibration.provenance.method == "magnetometer":
+        return "stretches"
+    return "static intervals" if calibration.assessment.rotations_found else "poses"
+
+
+def modelled_thing(calibration: Calibration) -> str:
+    """Return what the model of the assessment is one of: "IMU", "gyroscope" or "magnetometer"."""
+    if calibration.assessment.camera_imu is not None:
+        return "IMU"
+    if not calibration.imus:
+        return "lens"
+    return "magnetometer" if calibration.provenance.method == "magnetometer" else "gyroscope"
+
+
+def rests_on_gravity(calibration: Calibration) -> bool:
+    """Tell whether the magnitude of gravity has a part in any parameter."""
+    return any(
+        imu.accelerometer is not None or (imu.gyroscope is not None and bool(imu.gyroscope.g_sensitivity.any()))
+        for imu in calibration.imus.values()
+    )
+
+
+def held_out_errors(calibration: Calibration) -> Iterator[tuple[str, str, float, str]]:
+    """Yield (sensor, what was compared, rms, unit) of every hold-out error data that is known.
+
+    Errors of the magnetic field are in percent of the local field.
+    """
+    holdout = calibration.assessment.holdout
+    for found in (
+        ("accelerometer", "|f| - g", holdout.accelerometer_rms, "m/s^2"),
+        ("rotations", "rotations", holdout.rotation_rms, "rad"),
+        ("gyroscope", "|w| - rate", holdout.rate_rms, "rad/s"),
+        ("magnetometer", "|m| - field", 100 * holdout.field_rms, "%"),
+    ):
+        if isfinite(found[2]):
+            yield found
+
+
+def prior_held_names(calibration: Calibration) -> tuple[str, ...]:
+    """Return what a prior holds, whole parameters by their path and others number by number."""
+    sizes = {
+        path: len(element_names(path, value.shape))
+        for path, value in calibration_parameters(calibration.imus, calibration.cameras)
+    }
+    names: list[str] = []
+    for path, group in groupby(calibration.assessment.held_by_prior, key=lambda name: name.split("[")[0]):
+        elements = list(group)
+        names += [path] if len(elements) == sizes.get(path) else elements
+    return tuple(names)

@@ -1,22 +1,25 @@
-"""Edges of what is black on a board -> closed paths, in which no cell has a seam towards its neighbour."""
+"""A board -> files to print it: its black areas as paths without seams, on sheets of paper, and its target.yaml."""
 
 import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from math import ceil, floor
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
-from ..errors import OptionError
-from ..formats.kalibr.target import target_lines
+from ..errors import FormatError, OptionError, OutputError
+from ..formats.kalibr.target import read_target, target_lines, target_text
+from ..frozen import value_class
 from ..models.board_pattern import BoardPattern, board_pattern
 from ..models.target import Target
+from ..output import write_together
 from ..recording import Floats
-from .drawing import Drawing, PaperPage, Words
+from .drawing import Drawing, PaperPage, Words, pdf_bytes, svg_text
 
 Place = tuple[int, int]
-
 _STEP_M = 1e-9  # corners that are nearer are one
 
 
@@ -67,7 +70,6 @@ def _corners(path: list[Place]) -> list[Place]:
 
 
 Size = tuple[float, float]
-
 PAPERS: dict[str, Size] = {
     "A5": (148.0, 210.0),
     "A4": (210.0, 297.0),
@@ -80,7 +82,6 @@ PAPERS: dict[str, Size] = {
     "A0": (841.0, 1189.0),
 }
 """Width and height of sheets, upright [mm]."""
-
 _USUAL = ("A4", "A3", "A2", "A1", "A0")  # tried where no paper is stated
 _LARGEST_MM = 5000.0  # of a page of a PDF: 14400 points
 _MARGIN = 5.0  # which printers leave white
@@ -348,3 +349,78 @@ def _axes(target: Target) -> str:
         return "x right, y up, from the circle at the lower left"
     first = "inner corner" if target.kind == "checkerboard" else "circle"
     return f"x down, y right, from the {first} at the upper left"
+
+
+@value_class(eq=True)
+class PrintedTarget:
+    """What was written to print a board.
+
+    Attributes
+    ----------
+    files : the drawings, and the description last
+    sheet_mm : width and height of the sheet, or of each page where there are several [mm]
+    pages : number of pages of the PDF
+    """
+
+    files: tuple[Path, ...]
+    sheet_mm: tuple[float, float]
+    pages: int = 1
+
+
+def save_target(target: Target, path: str | PathLike[str], *, paper: str = "", tiles: bool = False) -> PrintedTarget:
+    """Write a board as it is printed, at true scale, and its target.yaml beside it.
+
+    Parameters
+    ----------
+    target : the board
+    path : "board.pdf" or "board.svg"; "board" for both. The description is board.yaml.
+    paper : "A4", "A3", ..., "letter", or such as "500x700mm"; without it the smallest sheet that holds the board
+    tiles : whether the PDF has pages of that paper, A4 where none is stated, to be glued together; an SVG is one sheet
+
+    Raises
+    ------
+    OptionError
+        If the board does not fit on the paper, has more tags than there are, or the ending is another one.
+    OutputError
+        If a file cannot be written, or there is a description of another board by that name.
+
+    Examples
+    --------
+    >>> board = Target.charuco(cols=7, rows=9, square_size_m=0.03, marker_size_m=0.0225)
+    >>> printed = save_target(board, "board.pdf")  # doctest: +SKIP
+    >>> [file.name for file in printed.files], printed.sheet_mm  # doctest: +SKIP
+    (['board.pdf', 'board.yaml'], (297.0, 420.0))
+    """
+    place = Path(path)
+    ending = place.suffix.lower()
+    if ending not in {"", ".pdf", ".svg"}:
+        raise OptionError(f"{place}: boards are drawn as .pdf or .svg; a name without an ending gets both.")
+    drawing, pages = tile_board(target, paper or "A4") if tiles else (board_drawing(target, paper), ())
+    title = target.describe()
+    contents: dict[str, str | bytes] = {}
+    if ending != ".svg":
+        contents[".pdf"] = pdf_bytes(drawing, title, pages)
+    if ending != ".pdf":
+        contents[".svg"] = svg_text(drawing, title)
+    description = place.with_suffix(".yaml")
+    if not _describes(description, target):
+        contents[".yaml"] = target_text(target)
+    files = {suffix: place if suffix == ending else place.with_suffix(suffix) for suffix in contents}
+    write_together(place.parent, {files[suffix].name: content for suffix, content in contents.items()})
+    drawn = tuple(file for suffix, file in files.items() if suffix != ".yaml")
+    sheet = pages[0].size if pages else drawing.size
+    return PrintedTarget(files=(*drawn, description), sheet_mm=sheet, pages=len(pages) or 1)
+
+
+def _describes(path: Path, target: Target) -> bool:
+    """Tell whether there is a description of this very board already; it is left as it is, with its comments."""
+    if not path.exists():
+        return False
+    try:
+        found = read_target(path)
+    except FormatError:
+        found = None
+    if found is not None and target_text(found) == target_text(target):
+        return True
+    what = "no board" if found is None else f"another board ({found.describe()})"
+    raise OutputError(f"{path}: this file exists and describes {what}. Remove it, or choose another name with -o.")

@@ -3,14 +3,14 @@
 import csv
 from collections.abc import Callable, Iterator
 from io import StringIO
-from math import floor, isfinite, log10
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import OptionError
 from ..formats.shared import entries
-from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries
+from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries, value_text
 from ..frozen import value_class
 from ..models.frames import Floats, frame_rotation
 from ..results.calibration import (
@@ -21,12 +21,13 @@ from ..results.calibration import (
     ImuCalibration,
     calibration_parameters,
 )
+from ..results.result import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 from ..results.sensors import element_units
 from ..units import share_words
-from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 
 if TYPE_CHECKING:
     from ..assess.comparison.comparison import Comparison
+
 
 _Entries = Callable[..., Iterator[FormEntry]]
 _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
@@ -62,7 +63,6 @@ _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
     ),
 }
 """Form -> the frame of its accelerometer (None: any), and what each triad consists of."""
-
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 _POINTS = {"optimal": "p*", "x": "x accelerometer", "y": "y accelerometer", "z": "z accelerometer"}
 _MAGNETOMETER = "measured = sensitivity m + bias; the sensitivity holds soft iron, the bias hard iron"
@@ -274,27 +274,6 @@ def _is_exact(calibration: Calibration) -> bool:
 
 def _exact_text(value: float, _sigma: float) -> str:
     return f"{value:.6g}"
-
-
-def value_text(value: float, sigma: float) -> str:
-    """Return value and sigma with two significant digits of sigma.
-
-    Examples
-    --------
-    >>> value_text(414.4075, 0.01234), value_text(0.0, 0.0), value_text(1.23456e-7, 1.2e-9)
-    ('414.408 ± 0.012', '0 (fixed)', '(1.235 ± 0.012)e-07')
-    """
-    if sigma == 0:
-        return f"{value:.6g} (fixed)"
-    if not isfinite(sigma):
-        return f"{value:.6g} (unknown sigma)"
-    exponent = floor(log10(float(f"{sigma:.1e}")))
-    largest = max(exponent, floor(log10(abs(value))) if value else exponent)
-    if -4 <= largest < 6 and exponent < 2:
-        decimals = 1 - exponent
-        return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
-    scale, decimals = 10.0**largest, largest - exponent + 1
-    return f"({value / scale:.{decimals}f} ± {sigma / scale:.{decimals}f})e{largest:+03d}"
 
 
 def summary_table(calibration: Calibration) -> ParameterRows:

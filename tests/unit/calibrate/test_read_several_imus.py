@@ -19,8 +19,8 @@ from gnomon.formats.shared.yaml_text import kalibr_yaml
 from gnomon.options import CameraImuOptions
 from gnomon.readers.images.image_recording import open_images
 from gnomon.readers.rig.corner_frames import read_corner_stamps
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 from gnomon.writers.recording_file import save_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 TWO = CameraImuScenario(
     duration_s=3.0, imus=2, cameras=2, further_imu_rate_hz=160.0, imu_clock_offset_s=55.0, clock_offset_s=-9.0,

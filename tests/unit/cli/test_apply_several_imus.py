@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli import main
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 SCENARIO = CameraImuScenario(
     duration_s=3.0, imus=2, noise_factor=0.0, accelerometer_rate_hz=150.0, further_accelerometer_delay_s=0.006

@@ -19,7 +19,7 @@ from gnomon.cli.commands.camera_imu import CameraImu, SimulateCameraImu
 from gnomon.cli.output_folder import CAMERA_IMU_FILES
 from gnomon.formats.own.options_file import options_text
 from gnomon.options import CameraImuOptions
-from gnomon.writers.camera_imu_files import CAMERA_IMU_FILES as KALIBR_FILES
+from gnomon.writers.kalibr_files import CAMERA_IMU_FILES as KALIBR_FILES
 
 SMALL = ("--duration-s", 3, "--seed", 5)
 

@@ -13,7 +13,7 @@ from gnomon.report.camera_imu.page import camera_imu_page
 from gnomon.report.rig_parameters import placed_imu_groups
 from gnomon.results.calibration import Covariance
 from gnomon.results.sensors import covariance_names
-from gnomon.writers.camera_imu_files import residual_statistics
+from gnomon.writers.kalibr_files import residual_statistics
 
 POSE = np.eye(4)
 POSE[:3, :3] = rotation_from_rotvec(np.array([0.0, 0.0, np.pi / 2 + 0.01]))

@@ -11,12 +11,12 @@ from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.terms.assembly import border_priors, from_known, pose_residual
-from gnomon.formats.shared.baselines import baseline_of
+from gnomon.formats.shared.entries import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.recording import KnownRig
 from gnomon.results.sensors import CameraCalibration, covariance_names
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 SCENARIO = gnomon.CameraImuScenario(duration_s=12.0, cameras=2)
 

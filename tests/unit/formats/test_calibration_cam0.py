@@ -13,7 +13,7 @@ from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.sensor_inputs import read_cameras, read_rig
-from gnomon.formats.shared.baselines import baseline_of
+from gnomon.formats.shared.entries import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.results.sensors import covariance_names
 from gnomon.results.trust import UncertaintySummary

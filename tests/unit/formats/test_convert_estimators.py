@@ -392,7 +392,7 @@ def test_kalibrs_results_through_the_others(real_data, tmp_path, folder, to):
 
 def test_our_results_read_back(camera_imu_case, tmp_path):
     """All three files that gnomon writes after a camera-IMU calibration, in Kalibr's layout."""
-    from gnomon.writers.camera_imu_files import camera_imu_texts
+    from gnomon.writers.kalibr_files import camera_imu_texts
 
     result, recording, target = camera_imu_case()
     texts = camera_imu_texts(result, recording, target)
@@ -423,7 +423,7 @@ WORDS = ["nan", "-1", "0", "1e400", "[]", "{}", "null", "'x'", "[1, 2]", "-", "9
 def test_damaged_files_are_read_or_refused(rig, camera_imu_case, tmp_path, seed):
     """Whatever stands in a file instead of what belongs there, it ends in a sentence, never in another error."""
     from gnomon.errors import GnomonError
-    from gnomon.writers.camera_imu_files import camera_imu_texts
+    from gnomon.writers.kalibr_files import camera_imu_texts
 
     rng = np.random.default_rng(seed)
     calibration = rig(seed, "radtan", "equidistant", units=SI)

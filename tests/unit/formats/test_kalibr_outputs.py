@@ -13,7 +13,7 @@ from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign import Residuals, Statistics
 from gnomon.formats.kalibr.camchain import camchain_text, read_camchain
 from gnomon.formats.kalibr.imu import StatedImu, imu_text, read_imu_input
-from gnomon.formats.kalibr.results import KalibrResults, read_kalibr_results
+from gnomon.formats.kalibr.results import read_kalibr_results
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.quaternion import rotation_from_quaternion
@@ -21,7 +21,7 @@ from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.results.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
 from gnomon.results.sensors import covariance_names
-from gnomon.writers.camera_imu_files import camera_imu_texts, residual_statistics, save_camera_imu_files
+from gnomon.writers.kalibr_files import KalibrResults, camera_imu_texts, residual_statistics, save_camera_imu_files
 from kalibr_imus import read_kalibr
 
 SAMPLES = [

@@ -10,9 +10,9 @@ from gnomon import CameraImuScenario, convert, simulate_camera_imu
 from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import load_foreign
-from gnomon.formats.kalibr.results import KalibrResults
 from gnomon.formats.shared.losses import StatedImu
 from gnomon.results.calibration import Covariance
+from gnomon.writers.kalibr_files import KalibrResults
 from gnomon.writers.tables import form_tables
 
 SCENARIO = CameraImuScenario(duration_s=1.0, imus=3, cameras=2, accelerometer_delay_s=0.002, imu_clock_offset_s=-7.0)

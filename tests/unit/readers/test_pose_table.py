@@ -7,7 +7,7 @@ import gnomon
 from gnomon.errors import OptionError, RecordingError
 from gnomon.readers.samples.poses import pose_column
 from gnomon.recording import Poses
-from gnomon.writers.pose_files import save_poses
+from gnomon.writers.recording_file import save_poses
 
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.formats.shared.entries import value_text
 from gnomon.geometry.rotation_vector import invert_matrix
 from gnomon.models.forms import TedaldiAccelerometer
 from gnomon.results.calibration import (
@@ -16,7 +17,7 @@ from gnomon.results.calibration import (
 )
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 from gnomon.writers import tables
-from gnomon.writers.tables import entries_with_sigmas, form_tables, summary_table, value_text
+from gnomon.writers.tables import entries_with_sigmas, form_tables, summary_table
 
 FORMS = ["sensitivity", "tedaldi", "krebs", "angrisano", "kalibr"]
 

@@ -7,7 +7,7 @@ import pytest
 
 from gnomon import CameraImuScenario, FormatError, OutputError, Scenario, load, read_camera_imu, simulate_camera_imu
 from gnomon.formats.own.options_file import options_text, read_options
-from gnomon.writers.camera_imu_recording import save_camera_imu_recording
+from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 BASE = CameraImuScenario(duration_s=3.0, random_extrinsics=True, motion="shaky", distance_m=0.6)
 RICH = replace(

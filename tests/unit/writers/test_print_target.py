@@ -15,9 +15,16 @@ from gnomon import OptionError, OutputError
 from gnomon.formats.kalibr.target import read_target, target_text
 from gnomon.models.board_pattern import BoardPattern, _outline, board_pattern
 from gnomon.models.target import Target
-from gnomon.writers.board_sheet import PAPERS, board_drawing, board_paths, largest_on, paper_size, tile_board
+from gnomon.writers.board_sheet import (
+    PAPERS,
+    board_drawing,
+    board_paths,
+    largest_on,
+    paper_size,
+    save_target,
+    tile_board,
+)
 from gnomon.writers.drawing import pdf_bytes, svg_text
-from gnomon.writers.printed_board import save_target
 from headless import CHROMIUM, WHY_NOT, Browser
 from printed import (
     PX_PER_MM,

@@ -113,8 +113,8 @@ class CameraCommand(Command):
         """Calibrate, write the folder of the result, and return the exit code."""
         from ...calibrate.cameras import calibrate_cameras
         from ...calibrate.steps.camera_reading import read_camera_views
-        from ...formats.kalibr.cam_results import save_camera_files
         from ...readers.images.image_recording import recording_holds_imu
+        from ...writers.kalibr_files import save_camera_files
 
         folder = self.output or default_folder((self.recording,), "camera")
         beside, taken = files_beside(self.recording, {"target": self.target})
@@ -209,8 +209,7 @@ class SimulateCameras(FromScenario):
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, write its folder, and return the exit code."""
         from ...simulate.cameras import simulate_cameras
-        from ...writers.camera_imu_recording import CAMERA_FILES
-        from ...writers.cameras_recording import CAMERAS_FILES, save_cameras_recording
+        from ...writers.simulated_cameras import CAMERA_FILES, CAMERAS_FILES, save_cameras_recording
 
         folder = self.output
         replaced = replaces_simulated(folder, _NOT_OURS)

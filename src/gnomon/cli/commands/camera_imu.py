@@ -131,7 +131,7 @@ class CameraImu(Command):
         """Calibrate, write the folder of the result, and return the exit code."""
         from ...calibrate.camera_imu import calibrate_camera_imu
         from ...calibrate.steps.camera_imu_reading import read_camera_imu
-        from ...writers.camera_imu_files import save_camera_imu_files
+        from ...writers.kalibr_files import save_camera_imu_files
         from ..camera_summary import programs_reading
 
         folder = self.output or default_folder((self.recording,), "camera-imu")
@@ -227,8 +227,7 @@ class SimulateCameraImu(FromScenario):
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, write its folder, and return the exit code."""
         from ...simulate import simulate_camera_imu
-        from ...writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
-        from ...writers.cameras_recording import CAMERAS_FILES
+        from ...writers.simulated_cameras import CAMERA_FILES, CAMERAS_FILES, save_camera_imu_recording
 
         folder = self.output
         replaced = replaces_simulated(folder, RIG_FILES)
@@ -283,7 +282,7 @@ class SimulateRoom(FromScenario):
     def run(self, terminal: Terminal) -> int:
         """Simulate a recording, render its images, write its folder, and return the exit code."""
         from ...simulate import simulate_camera_imu
-        from ...writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
+        from ...writers.simulated_cameras import CAMERA_FILES, save_camera_imu_recording
 
         folder = self.output
         replaced = replaces_simulated(folder, RIG_FILES)

@@ -35,7 +35,8 @@ class Certificate(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the certificate, and return the exit code of the calibration."""
-        from ...formats.own.calibration_file import calibration_at, is_noise, load
+        from ...formats.own.calibration_file import load
+        from ...formats.own.calibration_text import calibration_at, is_noise
         from ...formats.own.noise_file import load_noise
         from ...results.calibration import Calibration
 

@@ -90,7 +90,7 @@ class Convert(Command):
 
 def _of_result(command: Convert) -> Convert:
     """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
-    from ...formats.own.calibration_file import calibration_at
+    from ...formats.own.calibration_text import calibration_at
 
     inside = Path(calibration_at(command.path))
     if inside == command.path or _holds_images(command.path):
@@ -101,7 +101,8 @@ def _of_result(command: Convert) -> Convert:
 def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     from ...formats.conversion import convert as write
     from ...formats.conversion import export_texts
-    from ...formats.own.calibration_file import is_own, load
+    from ...formats.own.calibration_file import load
+    from ...formats.own.calibration_text import is_own
 
     _refuse_recording(command)
     if is_own(command.path):

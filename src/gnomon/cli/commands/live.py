@@ -135,7 +135,7 @@ class Live(Command):
         from ...live.rig_session import RigSession
         from ...options.requirements import GENERAL_RIG
         from ...units import Units
-        from ...writers.camera_imu_recording import simulated_texts
+        from ...writers.simulated_cameras import simulated_texts
 
         units = None if self.table.units is None else Units.parse(self.table.units)
         images, samples = open_rig_sources(self.source, units)

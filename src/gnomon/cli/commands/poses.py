@@ -36,8 +36,7 @@ class SimulatePoses(Command):
         """Simulate poses, write them and their truth, and return the exit code."""
         from ...formats.own.calibration_text import save
         from ...simulate import simulate_poses
-        from ...writers.pose_files import save_pose_files, save_poses
-        from ...writers.recording_file import save_recording
+        from ...writers.recording_file import save_pose_files, save_poses, save_recording
 
         path = self.output
         as_file = path.suffix.lower() in {".csv", ".npz"}

@@ -58,7 +58,8 @@ class Show(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Print the tables, and return the exit code."""
-        from ...formats.own.calibration_file import calibration_at, is_noise, is_own, load
+        from ...formats.own.calibration_file import load
+        from ...formats.own.calibration_text import calibration_at, is_noise, is_own
         from ...writers.tables import form_tables, summary_table
 
         path = Path(calibration_at(self.calibration))

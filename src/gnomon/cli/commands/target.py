@@ -112,8 +112,7 @@ class PrintTarget(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the drawings of a board and say where."""
-        from ...writers.board_sheet import largest_on
-        from ...writers.printed_board import save_target
+        from ...writers.board_sheet import largest_on, save_target
 
         board, paper = _board(self), self.paper or ""
         if self.board in KINDS and self.size is None:

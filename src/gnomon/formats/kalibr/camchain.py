@@ -24,7 +24,7 @@ from ..shared.foreign_yaml import (
     unwrap_rows,
     whole_number,
 )
-from ..shared.lens_refit import cameras_without_k3, k3_losses
+from ..shared.losses import cameras_without_k3, k3_losses
 from ..shared.structured import Node
 from ..shared.yaml_text import kalibr_yaml
 
@@ -332,13 +332,10 @@ def _chained(camera: CameraInput, node: Node, before: CameraInput | None, notes:
 
 
 CAMCHAIN_FILE, LENS_FILE = "camchain-imucam.yaml", "camchain.yaml"
-
 _HEADER = """\
 # Cameras and their poses in Kalibr's layout, made by gnomon; sigmas are in calibration.yaml.
 # p_cam = T_cam_imu p_imu [m], t_imu = t_cam + timeshift_cam_imu [s], p_cn = T_cn_cnm1 p_cnm1.
 """
-
-
 _HEADER_ALONE = """\
 # Cameras in Kalibr's layout, made by gnomon; sigmas are in calibration.yaml. p_cn = T_cn_cnm1 p_cnm1 [m].
 """
@@ -424,3 +421,8 @@ def _lens_entry(camera: Camera) -> dict[str, Any]:
     if camera.topic:
         entry["rostopic"] = camera.topic
     return entry
+
+
+def is_kalibr_cam_results(text: str) -> bool:
+    """Return whether a text is what Kalibr prints after a calibration of cameras."""
+    return text.lstrip().startswith("Calibration results") and "Camera-system parameters" in text

@@ -23,8 +23,17 @@ from ..shared.foreign_yaml import (
     read_transform,
     required_value,
 )
-from ..shared.lens_refit import k3_losses
-from ..shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, uncertainty_loss
+from ..shared.losses import (
+    Context,
+    Export,
+    Loss,
+    StatedImu,
+    into_frame,
+    k3_losses,
+    require_triads,
+    stated_entry,
+    uncertainty_loss,
+)
 from ..shared.sensor_losses import Holds, not_representable
 from ..shared.si_units import si_conversions
 from ..shared.structured import Node

@@ -1,9 +1,12 @@
-"""Kalibr's results-imucam.txt, which people keep and send around: everything that it prints, to its eight digits."""
+"""Kalibr's results, which people keep and send around: results-imucam.txt to its eight digits, and results-cam.txt.
+
+Of cameras alone Kalibr prints "projection: [...] +- [...]" and "distortion: [...] +- [...]", and neither the resolution
+nor all digits: both stand in camchain.yaml, which Kalibr writes along with it under a name alike.
+"""
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,27 +14,21 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, OptionError
-from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.noise import ImuNoise
 from ...models.target import Target
-from ...recording import Floats
+from ...recording import Floats, frozen_array
 from ...results.calibration import (
     AccelerometerCalibration,
-    Calibration,
     CameraCalibration,
     GyroscopeCalibration,
     ImuCalibration,
 )
 from ..foreign import ForeignCalibration, ForeignImu, Residuals, Statistics, ideal_imu, recognised_frame
-from ..shared.baselines import inverse_pose
 from ..shared.foreign_yaml import read_rotation, read_transform
-from ..shared.lens_refit import without_k3
-from ..shared.losses import StatedImu
 from ..shared.structured import Node, read_structured_text
-from .camchain import camera_baseline, camera_of
-from .imu import KalibrModel, kalibr_model, pose_in_kalibr
+from .camchain import CameraInput, camera_of, is_kalibr_cam_results, read_camchain
 
 _RESIDUAL = re.compile(
     r"(Reprojection|Gyroscope|Accelerometer) error \((\w+)\)\s*(\[.*?\])?:"
@@ -326,148 +323,74 @@ def _read_noise(values: dict[str, Any]) -> ImuNoise | None:
 
 
 RESULTS_FILE = "results-imucam.txt"
-
 LENS_NAMES = {"pinhole": (), "omni": ("Omni xi",), "eucm": ("EUCM alpha", "EUCM beta"), "ds": ("DS xi", "DS alpha")}
-_UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+_CAMERA_BLOCK = re.compile(r"^(cam\d+) \(.*\):\s*$", re.MULTILINE)
+_CAMERA_RESULTS_NAME = re.compile(r"results-cam(?=[-.])")
 
 
-@value_class
-class KalibrResults:
-    """What `results-imucam.txt` is made of.
+def read_cam_results(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, CameraInput]:
+    """Read cameras with the standard deviations of their lenses; camchain.yaml has to be beside the file.
 
-    Attributes
+    Parameters
     ----------
-    calibration : with cameras, in body frame accel-x
-    target : the board
-    residuals : "cam0", "imu0.gyroscope", "imu0.accelerometer", ... -> Residuals; missing where nothing was used
-    gravity_target : (3,) gravity in the target's frame, pointing down [m/s^2]
-    imus : "imu0", ... -> noise and rate as they were stated
-    notes : lines of the blocks that gnomon adds
+    path : results-cam.txt, or such as data-results-cam.txt with data-camchain.yaml beside it
+    notes : where sentences on what was taken are appended
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be read, is not laid out as Kalibr does, or the two do not belong together.
     """
-
-    calibration: Calibration
-    target: Target
-    residuals: Mapping[str, Residuals]
-    gravity_target: Floats
-    imus: Mapping[str, StatedImu]
-    notes: tuple[str, ...] = ()
-
-    def text(self) -> str:
-        """Return the text of the file."""
-        return "\n".join((*self._lines(), *self.notes)) + "\n"
-
-    def _lines(self) -> Iterator[str]:
-        cameras = self.calibration.cameras
-        yield from ("Calibration results", "===================")
-        yield from (*self._residual_lines("Normalized Residuals", normalised=True), "")
-        yield from self._residual_lines("Residuals", normalised=False)
-        for name, camera in cameras.items():
-            yield from _transformation(name, camera)
-        if len(cameras) > 1:
-            yield from ("Baselines:", "----------")
-        for (first, before), (second, camera) in pairwise(cameras.items()):
-            pose = camera_baseline(before, camera)
-            yield from (f"Baseline ({first} to {second}): ", *_matrix(pose))
-            yield from (f"baseline norm:  {float(np.linalg.norm(pose[:3, 3]))} [m]", "")
-        yield from ("", "Gravity vector in target coords: [m/s^2]", *_matrix(self.gravity_target), "", "")
-        yield from ("Calibration configuration", "=========================", "")
-        for name, camera in cameras.items():
-            yield from (name, "-----", *_lens(camera.camera), *board_lines(self.target), "")
-        yield from ("", "", "IMU configuration", "=================", "")
-        for name, imu in self.calibration.imus.items():
-            yield from (f"{name.upper()}:", " ----------------------------")
-            yield from _noise_lines(name, self.imus[name], kalibr_model(imu))
-            yield from (*_placed(name, pose_in_kalibr(self.calibration, name)), *_model(kalibr_model(imu)), "")
-
-    def _residual_lines(self, title: str, *, normalised: bool) -> Iterator[str]:
-        yield from (title, "----------------------------")
-        sources = [("Reprojection", name, name, "px") for name in self.calibration.cameras]
-        for triad in ("gyroscope", "accelerometer"):
-            sources += [(triad.capitalize(), imu, f"{imu}.{triad}", _UNITS[triad]) for imu in self.calibration.imus]
-        for what, name, key, unit in sources:
-            label = f"{what} error ({name}){'' if normalised else f' [{unit}]'}:".ljust(31 if normalised else 36)
-            found = self.residuals.get(key)
-            nothing = "no corners" if unit == "px" else "no samples"
-            yield label + (nothing if found is None else str(found.normalised if normalised else found.plain))
-
-
-def _matrix(values: Floats, indent: str = "") -> list[str]:
-    """Return the lines of an array as NumPy prints it with eight digits and no exponents."""
-    text = np.array2string(values + 0.0, max_line_width=200, precision=8, suppress_small=True)
-    return [indent + line for line in text.splitlines()]
-
-
-def _transformation(name: str, camera: CameraCalibration) -> Iterator[str]:
-    yield from ("", f"Transformation ({name}):", "-----------------------")
-    yield from (f"T_ci:  (imu0 to {name}): ", *_matrix(camera.T_cam_imu), "")
-    yield from (f"T_ic:  ({name} to imu0): ", *_matrix(inverse_pose(camera.T_cam_imu)), "")
-    yield f"timeshift {name} to imu0: [s] (t_imu = t_cam + shift)"
-    yield from (str(float(camera.time_shift_cam_imu)), "")
-
-
-def _lens(lens: Camera) -> Iterator[str]:
-    camera = without_k3(lens).camera
-    values = camera.intrinsics.tolist()
-    yield f"  Camera model: {camera.projection}"
-    yield f"  Focal length: {values[-4:-2]}"
-    yield f"  Principal point: {values[-2:]}"
-    for name, value in zip(LENS_NAMES[camera.projection], values[:-4], strict=True):
-        yield f"  {name}: {value}"
-    yield f"  Distortion model: {camera.distortion}"
-    yield f"  Distortion coefficients: {camera.distortion_coeffs.tolist()}"
-
-
-def board_lines(target: Target) -> Iterator[str]:
-    """Yield the lines on the board."""
-    yield f"  Type: {target.kind}"
-    if target.kind == "aprilgrid":
-        yield from ("  Tags: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
-        yield f"    Size: {float(target.tag_size_m)} [m]"
-        yield f"    Spacing {float(target.tag_size_m * target.tag_spacing)} [m]"
-        return
-    if target.kind == "charuco":  # of which Kalibr knows nothing
-        yield from ("  Squares: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
-        yield f"    Size: {float(target.square_size_m)} [m]"
-        yield from ("  Markers: ", f"    Marker size: {float(target.marker_size_m)} [m]")
-        yield from (f"    Dictionary: {target.dictionary}", f"    First: {target.first_tag}")
-        yield f"    Legacy: {'yes' if target.legacy else 'no'}"
-        return
-    checkerboard = target.kind == "checkerboard"
-    row, col = (target.row_spacing_m, target.col_spacing_m) if checkerboard else (target.spacing_m,) * 2
-    yield from ("  Rows", f"    Count: {target.rows}", f"    Distance: {float(row)} [m]")
-    yield from ("  Cols", f"    Count: {target.cols}", f"    Distance: {float(col)} [m]")
-
-
-def _noise_lines(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
-    noise, rate_hz = stated.noise, stated.update_rate_hz
-    if noise is None or rate_hz is None:
-        raise OptionError(f"{name}: Kalibr's results hold noise and rate of every IMU, and these are not stated.")
-    root = float(np.sqrt(rate_hz))
-    yield from (f"  Model: {model.name}", f"  Update rate: {float(rate_hz)}")
-    for triad in ("accelerometer", "gyroscope"):
-        density = float(getattr(noise, f"{triad}_noise_density"))
-        # Kalibr leaves a space behind the density of the accelerometer only.
-        yield from (
-            f"  {triad.capitalize()}:",
-            f"    Noise density: {density}{' ' if triad == 'accelerometer' else ''}",
+    file = Path(path)
+    text = read_structured_text(path)
+    if not is_kalibr_cam_results(text):
+        raise FormatError(f"{path}: expected Kalibr's results-cam.txt, with Camera-system parameters in it.")
+    chain = file.with_name(_CAMERA_RESULTS_NAME.sub("camchain", file.name)).with_suffix(".yaml")
+    if not chain.is_file() and (file.parent / "camchain.yaml").is_file():
+        chain = file.parent / "camchain.yaml"
+    if not chain.is_file():
+        raise FormatError(
+            f"{path}: it does not state the resolution, and {chain.name} is not beside it. Put the camchain.yaml that "
+            "Kalibr wrote along with it there."
         )
-        yield f"    Noise density (discrete): {density * root} "
-        yield f"    Random walk: {float(getattr(noise, f'{triad}_random_walk'))}"
+    said: list[str] = [] if notes is None else notes
+    blocks = _CAMERA_BLOCK.split(text)[1:]
+    printed = {name: _parameters(path, name, block) for name, block in zip(blocks[::2], blocks[1::2], strict=True)}
+    cameras = read_camchain(chain, said)
+    for name, camera in cameras.items():
+        if name not in printed:
+            said.append(f"{file.name} has no standard deviations of {name}.")
+            continue
+        values, sigmas = printed[name]
+        stated = camera.camera.parameters
+        if values.shape != stated.shape or not np.allclose(values, stated, rtol=1e-4, atol=1e-6):
+            raise FormatError(
+                f"{path}: {name} has projection and distortion {values.tolist()}, but {chain.name} has "
+                f"{stated.tolist()}. The two files are not of one calibration."
+            )
+        if not (sigmas > 0).all():
+            said.append(f"{file.name}: the standard deviations of {name} are not all above zero; they were left out.")
+            continue
+        cameras[name] = replace(camera, lens_covariance=frozen_array(np.diag(np.square(sigmas))))
+    said.append(f"{chain.name} holds the cameras of {file.name}, which does not tell how its errors hang together.")
+    return cameras
 
 
-def _placed(name: str, pose: tuple[Floats, float] | None) -> Iterator[str]:
-    if pose is not None:
-        yield from (f"  T_ib (imu0 to {name})", *_matrix(pose[0], "    "))
-        yield f"  time offset with respect to IMU0: {pose[1]} [s]"
-
-
-def _model(model: KalibrModel) -> Iterator[str]:
-    if model.name == "calibrated":
-        return
-    if model.M_gyro is not None and model.A_gyro is not None and model.C_gyro_i is not None:
-        yield from ("  Gyroscope: ", "    M:", *_matrix(model.M_gyro, "      "))
-        yield from ("    A [(rad/s)/(m/s^2)]:", *_matrix(model.A_gyro, "      "))
-        yield from ("    C_gyro_i:", *_matrix(model.C_gyro_i, "      "))
-    yield from ("  Accelerometer: ", "    M:", *_matrix(model.M_accel, "      "))
-    for axis, arm in zip("xyz", () if model.lever_arms_m is None else model.lever_arms_m, strict=False):
-        yield from (f"    r{axis}_i [m]:", *_matrix(arm, "      "))
+def _parameters(path: str | PathLike[str], name: str, block: str) -> tuple[Floats, Floats]:
+    """Return projection and distortion, and their standard deviations."""
+    found: list[list[float]] = [[], []]
+    for key in ("projection", "distortion"):
+        match = re.search(rf"^[ \t]*{key}:\s*\[([^\]]*)\]\s*\+-\s*\[([^\]]*)\]", block, re.MULTILINE)
+        try:
+            pair = (
+                [[float(word) for word in part.replace(",", " ").split()] for part in match.groups()] if match else []
+            )
+        except ValueError:
+            pair = []
+        if not pair:
+            raise FormatError(f"{path}: {name} has no line {key}: [...] +- [...] with numbers.")
+        if len(pair[0]) != len(pair[1]):
+            raise FormatError(f"{path}: {name} has {len(pair[0])} values of {key}, and {len(pair[1])} behind +-.")
+        found[0] += pair[0]
+        found[1] += pair[1]
+    return np.array(found[0]), np.array(found[1])

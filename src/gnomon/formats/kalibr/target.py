@@ -1,6 +1,6 @@
 """Kalibr's target.yaml: AprilGrid, checkerboard or grid of circles; and ChArUco boards in its manner."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from os import PathLike
 from typing import Any
 
@@ -17,7 +17,6 @@ DICTIONARIES = (
     "ARUCO_MIP_36h12",
 )
 """OpenCV's names of families of markers, without DICT_."""
-
 _LONGEST_M, _LARGEST_RATIO, _MOST = 10.0, 10.0, 1000
 _FIRST_TAG = ("codeOffset", "firstTag")  # of forks of Kalibr, and ours
 _BORDER = "tagBorderBits"  # ours: Kalibr prints 2
@@ -290,3 +289,24 @@ def _board(target: Target) -> dict[str, Any]:
     if target.kind == "checkerboard":
         return node | {"rowSpacingMeters": target.row_spacing_m, "colSpacingMeters": target.col_spacing_m}
     return node | {"spacingMeters": target.spacing_m, "asymmetricGrid": target.asymmetric}
+
+
+def board_lines(target: Target) -> Iterator[str]:
+    """Yield the lines on the board."""
+    yield f"  Type: {target.kind}"
+    if target.kind == "aprilgrid":
+        yield from ("  Tags: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
+        yield f"    Size: {float(target.tag_size_m)} [m]"
+        yield f"    Spacing {float(target.tag_size_m * target.tag_spacing)} [m]"
+        return
+    if target.kind == "charuco":  # of which Kalibr knows nothing
+        yield from ("  Squares: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
+        yield f"    Size: {float(target.square_size_m)} [m]"
+        yield from ("  Markers: ", f"    Marker size: {float(target.marker_size_m)} [m]")
+        yield from (f"    Dictionary: {target.dictionary}", f"    First: {target.first_tag}")
+        yield f"    Legacy: {'yes' if target.legacy else 'no'}"
+        return
+    checkerboard = target.kind == "checkerboard"
+    row, col = (target.row_spacing_m, target.col_spacing_m) if checkerboard else (target.spacing_m,) * 2
+    yield from ("  Rows", f"    Count: {target.rows}", f"    Distance: {float(row)} [m]")
+    yield from ("  Cols", f"    Count: {target.cols}", f"    Distance: {float(col)} [m]")

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -39,19 +38,17 @@ from ...results.trust import VERDICTS, Need, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
 from ..shared.typed_values import number_or_nan, read_class, read_typed
+from .calibration_text import (
+    BOARD_NUMBERS,
+    SCHEMA_MAJOR,
+    TEMPERATURE_NUMBERS,
+    VIEW_COUNTS,
+    VIEW_NUMBERS,
+    calibration_at,
+    imu_keys,
+)
 
 COMMENT = "comment"
-_SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
-
-
-def is_own(path: str | PathLike[str]) -> bool:
-    """Return whether a file, or the calibration in the folder of a result, says that it is gnomon's own."""
-    return _SCHEMA.search(read_structured_text(calibration_at(path))) is not None
-
-
-def is_noise(path: str | PathLike[str]) -> bool:
-    """Return whether a file says that it is gnomon's own file of noise."""
-    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_structured_text(path)) is not None
 
 
 def read_own(path: str | PathLike[str]) -> Node:
@@ -71,12 +68,6 @@ def read_own(path: str | PathLike[str]) -> Node:
     return replace(root, value={key: value for key, value in root.value.items() if key != COMMENT})  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
 
 
-def calibration_at(path: str | PathLike[str]) -> str | PathLike[str]:
-    """Return the calibration, or else the noise, in the folder of a result; anything else as it is."""
-    inside = (Path(path) / name for name in ("calibration.yaml", "noise.yaml"))
-    return next((file for file in inside if file.is_file()), path)
-
-
 SIGMAS = {
     "T_cam_imu.rotation": "T_cam_imu_rotation_sigma",
     "T_cam_imu.translation": "T_cam_imu_translation_sigma",
@@ -88,12 +79,6 @@ SIGMAS = {
     "distortion_coeffs": "distortion_coeffs_sigma",
 }
 """Parameter of a camera -> the key of its standard deviation."""
-
-VIEW_COUNTS = ("views_found", "views_used", "corners_used")
-VIEW_NUMBERS = ("reprojection_rms_px", "holdout_rms_px", "coverage")
-BOARD_NUMBERS = ("aspect", "aspect_sigma", "bow_m", "bow_sigma_m", "print_scale", "print_scale_sigma")
-"""Keys of what a calibration of cameras alone rests on, of each camera and of the board, as in `CamerasFit`."""
-
 _LENS = (
     "camera_model",
     "intrinsics",
@@ -103,8 +88,6 @@ _LENS = (
     "line_delay",
     "rostopic",
 )
-
-
 _LENS_SIGMAS = ("intrinsics_sigma", "distortion_coeffs_sigma")
 
 
@@ -227,11 +210,7 @@ def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
     )
 
 
-SCHEMA_MAJOR = 1
 SCHEMA_MINOR = 9
-TEMPERATURE_NUMBERS = ("reference_degc", "low_degc", "high_degc", "lag_s")
-"""Keys of a dependence on temperature beside its coefficients."""
-
 _ROUNDED = 1e-7
 """By so much a correlation may pass one, and an eigenvalue for each scalar zero, through rounding."""
 _ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
@@ -305,14 +284,6 @@ def _checked(top: dict[str, Node], calibration: Calibration) -> Calibration:
         )
     _check_sigmas(top, calibration)
     return calibration
-
-
-def imu_keys(path: str) -> tuple[str, tuple[str, ...], str]:
-    """Return of a parameter of an IMU its IMU, the keys under which it stands there, and the key of its sigmas."""
-    imu, *keys = path.split(".")
-    if keys[0] == "T_imu_body":  # one matrix, but two sets of sigmas
-        return imu, ("T_imu_body",), f"T_imu_body_{keys[1]}_sigma"
-    return imu, tuple(keys), f"{keys[-1]}_sigma"
 
 
 def _checked_minor(root: Node) -> int:

@@ -1,12 +1,15 @@
-"""gnomon's own calibration file, schema "gnomon/1" and its minors; `formats.own.calibration_file` reads it.
+"""gnomon's own calibration file, schema "gnomon/1" and its minors: how it is told, its keys, and its text.
 
-The minor is the lowest that holds the calibration, so that older versions can read what holds nothing newer. Matrices
-stand row by row, numbers read back bit by bit, and the same calibration gives the same bytes.
+`formats.own.calibration_file` reads it. The minor is the lowest that holds the calibration, so that older versions can
+read what holds nothing newer. Matrices stand row by row, numbers read back bit by bit, and the same calibration gives
+the same bytes.
 """
 
 import math
+import re
 from dataclasses import asdict
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,8 +32,44 @@ from ...results.calibration import (
 )
 from ...results.result import Result, calibration_of
 from ...results.trust import Need, QuantityChange, UncertaintySummary
+from ..shared.structured import read_structured_text
 from ..shared.yaml_text import yaml_lines
-from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, TEMPERATURE_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
+
+_SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
+
+
+def is_own(path: str | PathLike[str]) -> bool:
+    """Return whether a file, or the calibration in the folder of a result, says that it is gnomon's own."""
+    return _SCHEMA.search(read_structured_text(calibration_at(path))) is not None
+
+
+def is_noise(path: str | PathLike[str]) -> bool:
+    """Return whether a file says that it is gnomon's own file of noise."""
+    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_structured_text(path)) is not None
+
+
+def calibration_at(path: str | PathLike[str]) -> str | PathLike[str]:
+    """Return the calibration, or else the noise, in the folder of a result; anything else as it is."""
+    inside = (Path(path) / name for name in ("calibration.yaml", "noise.yaml"))
+    return next((file for file in inside if file.is_file()), path)
+
+
+VIEW_COUNTS = ("views_found", "views_used", "corners_used")
+VIEW_NUMBERS = ("reprojection_rms_px", "holdout_rms_px", "coverage")
+BOARD_NUMBERS = ("aspect", "aspect_sigma", "bow_m", "bow_sigma_m", "print_scale", "print_scale_sigma")
+"""Keys of what a calibration of cameras alone rests on, of each camera and of the board, as in `CamerasFit`."""
+SCHEMA_MAJOR = 1
+TEMPERATURE_NUMBERS = ("reference_degc", "low_degc", "high_degc", "lag_s")
+"""Keys of a dependence on temperature beside its coefficients."""
+
+
+def imu_keys(path: str) -> tuple[str, tuple[str, ...], str]:
+    """Return of a parameter of an IMU its IMU, the keys under which it stands there, and the key of its sigmas."""
+    imu, *keys = path.split(".")
+    if keys[0] == "T_imu_body":  # one matrix, but two sets of sigmas
+        return imu, ("T_imu_body",), f"T_imu_body_{keys[1]}_sigma"
+    return imu, tuple(keys), f"{keys[-1]}_sigma"
+
 
 FRAMES = {
     "accel-x": "x along the sensitivity axis of the x accelerometer, the axis of the y accelerometer in the x-y plane",
@@ -41,7 +80,6 @@ FRAMES = {
     "cam0": "x right, y down, z forward, as cam0 sees",
 }
 """Body frames in words."""
-
 _HEADER = """\
 # Calibration of an inertial sensor, made by gnomon.
 #
@@ -55,7 +93,6 @@ _HEADER = """\
 # unit per m/s^2. Matrices have a row for each sensor axis and a column for each body axis.
 # Body frame: {frame}.
 """
-
 _MAGNETOMETER = """\
 #
 # Magnetometer: with the magnetic field m in `field_unit` and in the body frame, the sensor reads sensitivity * m + bias
@@ -65,7 +102,6 @@ _MAGNETOMETER = """\
 # of iron is moved, added or taken away near the sensor.
 #
 """
-
 _CAMERAS = """\
 #
 # Cameras: p_cam = T_cam_imu p_imu takes a point from the body frame of imu0 to that of the camera (x right, y down, z
@@ -76,7 +112,6 @@ _CAMERAS = """\
 # rad, T_cam_imu_translation_sigma that of the last column of T_cam_imu in m.
 #
 """
-
 _CAMERAS_ALONE = """\
 # Calibration of cameras, made by gnomon.
 #
@@ -88,7 +123,6 @@ _CAMERAS_ALONE = """\
 # that of a rolling shutter in s, as it was stated. `gnomon camera-imu --cam` takes this file, and its covariance.
 #
 """
-
 _LEVER_ARMS = """\
 #
 # Lever arms: the three accelerometers do not sit at one point. lever_arms_m has a row for each of them, where it sits
@@ -96,7 +130,6 @@ _LEVER_ARMS = """\
 # (f + a x r + w x (w x r))[k], with a the angular acceleration; the gyroscope's g_sensitivity acts on f at the origin.
 #
 """
-
 _ORIGIN = """\
 #
 # Origin: which point of an IMU T_cam_imu and T_imu_body refer to. point: optimal is p* = W_x r_x + W_y r_y + W_z r_z of
@@ -105,7 +138,6 @@ _ORIGIN = """\
 # accelerometer; place: place_m from the x accelerometer, in m. Python's with_origin moves to another point.
 #
 """
-
 _SEVERAL_IMUS = """\
 #
 # Several IMUs: the body is imu0. Every other IMU has a frame of its own, by the same rule, to which its sensitivities
@@ -114,14 +146,12 @@ _SEVERAL_IMUS = """\
 # of the last column of T_imu_body in m.
 #
 """
-
 _ACCELEROMETER_SHIFT = """\
 #
 # Accelerometers with a delay of their own: t_gyroscope = t_accelerometer + time_shift, in s, of the timestamps of one
 # instant. The time shifts of IMUs and cameras are between gyroscopes, and to that of imu0.
 #
 """
-
 _TEMPERATURE = """\
 #
 # Temperature: sensitivities and biases hold at reference_degc. With d = T - reference_degc, in sensor axes and row j
@@ -132,7 +162,6 @@ _TEMPERATURE = """\
 # lag_s: the thermometer follows the sensor, x' = (T - x) / lag_s of its reading x, in s.
 #
 """
-
 _SIGMAS = """\
 # Every *_sigma is one standard deviation, and the square root of the covariance's diagonal at the end of this file.
 """

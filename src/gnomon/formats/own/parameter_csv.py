@@ -31,8 +31,8 @@ from ..foreign import ForeignCalibration, recognised_frame
 from ..shared.entries import IMU_EQUATION, camera_equation
 from ..shared.losses import Context, Export, Loss
 from ..shared.structured import read_structured_text
-from .calibration_file import FIELD_UNITS, TEMPERATURE_NUMBERS
-from .calibration_text import FRAMES
+from .calibration_file import FIELD_UNITS
+from .calibration_text import FRAMES, TEMPERATURE_NUMBERS
 
 _LARGEST_SIGMA = 1e100  # whose square is a number
 _SHAPES = {

@@ -1,10 +1,7 @@
-"""Units of derived quantities, as people write them.
+"""The quantities of sensors and cameras in the letters of gnomon, a document or Kalibr, with their sigmas."""
 
-What programs do not use of the numbers that their own files hold, as their source code was found to be.
-"""
-
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
+from math import floor, isfinite, log10
 
 import numpy as np
 
@@ -25,144 +22,10 @@ from ...models.forms import (
     TedaldiGyroscope,
     in_own_axes,
 )
-from ...models.frames import Floats
 from ...models.projections import PROJECTIONS
+from ...recording import Floats
 from ...results.calibration import Calibration
 from ...results.sensors import unit_ratio
-from .losses import Loss
-
-_GRAVITY_M_S2 = 9.81
-_LEAST_GRAVITY_M_S2 = 5e-4
-_PX4_LEAST = 0.01  # of the length of the change of a vector [m/s^2], [rad/s], [1]
-_GRID = 24
-
-
-def ignored_values(calibration: Calibration, to: str) -> Iterator[Loss]:
-    """Yield what a program passes over although its file has it, each with its size and what to do.
-
-    Parameters
-    ----------
-    to : the format, such as "basalt"
-    """
-    for found in _IGNORED.get(to, ()):
-        yield from found(calibration)
-
-
-def _basalt_shift(calibration: Calibration) -> Iterator[Loss]:
-    yield from _shift(
-        calibration,
-        "cam_time_offset_ns",
-        "Basalt's odometry does not use it: the line that would add it to the timestamps of the images is commented "
-        "out",
-    )
-
-
-def _okvis_delay(calibration: Calibration) -> Iterator[Loss]:
-    yield from _shift(
-        calibration, "image_delay", "one of the two repositories of OKVIS2 reads it and does not apply it"
-    )
-
-
-def _shift(calibration: Calibration, key: str, why: str) -> Iterator[Loss]:
-    shift = next((camera.time_shift_cam_imu for camera in calibration.cameras.values()), 0.0)
-    if shift:
-        yield Loss(
-            what=key,
-            why=f"{why}. Where yours does so, add the shift to the timestamps of the images (t_imu = t_cam + shift) "
-            f"and set {key} to 0.",
-            size=f"shift {shift * 1e3:+.6g} ms",
-        )
-
-
-def _gravity(whose: str, where: str) -> Callable[[Calibration], Iterator[Loss]]:
-    def found(calibration: Calibration) -> Iterator[Loss]:
-        apart = calibration.gravity.value - _GRAVITY_M_S2
-        if calibration.cameras and abs(apart) > _LEAST_GRAVITY_M_S2:
-            yield Loss(
-                what="gravity",
-                why=f"{whose} has {_GRAVITY_M_S2} m/s^2 {where}; this calibration rests on "
-                f"{calibration.gravity.value:.5f} m/s^2. Set it there, or the bias takes the difference.",
-                size=f"{1e3 * apart:+.2g} mm/s^2",
-            )
-
-    return found
-
-
-def _orb_slam3_second_lens(calibration: Calibration) -> Iterator[Loss]:
-    """`Settings::readCamera2` takes Camera1.k1 to Camera1.k4 for the second KannalaBrandt8 lens."""
-    cameras = list(calibration.cameras.items())[:2]
-    if len(cameras) == 2 and all(camera.camera.distortion == "equidistant" for _, camera in cameras):
-        (_, first), (name, second) = cameras
-        width, height = second.camera.resolution
-        u, v = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
-        pixels = np.column_stack([u.ravel(), v.ravel()])
-        rays, valid = second.camera.unproject(pixels)
-        taken = replace(second.camera, distortion_coeffs=first.camera.distortion_coeffs)
-        image = taken.project(rays[valid], point_jacobian=False)
-        apart = np.linalg.norm(image.pixels - pixels[valid], axis=1)[image.valid]
-        yield Loss(
-            what=f"Camera2.k1 to k4 of {name}",
-            why="ORB-SLAM3 reads Camera1.k1 to k4 for the second lens, too (Settings::readCamera2); fix it there.",
-            size=f"{np.mean(apart):.2g} px off on average, {np.max(apart):.2g} px at worst",
-        )
-
-
-def _kalibr_line_delay(calibration: Calibration) -> Iterator[Loss]:
-    for name, camera in calibration.cameras.items():
-        if camera.camera.line_delay_s:
-            height = camera.camera.resolution[1]
-            yield Loss(
-                what=f"line_delay of {name}",
-                why="Kalibr's camera-IMU tool takes all rows of an image as of one instant: timeshift_cam_imu "
-                f"{1e3 * camera.middle_row_delay_s:+.6g} ms; the file has that of row 0.",
-                size=f"{1e6 * camera.camera.line_delay_s:.3g} us a row, "
-                f"{1e3 * abs(camera.camera.line_delay_s) * height:.3g} ms an image",
-            )
-
-
-def _px4_threshold(calibration: Calibration) -> Iterator[Loss]:
-    from .flight_parameters import flight_imu
-
-    for name, imu in calibration.imus.items():
-        flight = flight_imu(imu)
-        triads = {"accelerometer": (flight.accelerometer, "m/s^2"), "gyroscope": (flight.gyroscope, "rad/s")}
-        for triad, (found, unit) in triads.items():
-            if found is None:
-                continue
-            vectors = {"offsets": (found.offset, f" {unit}")}
-            if triad == "accelerometer":
-                vectors["scales"] = (found.scale - 1, "")
-            for what, (vector, own) in vectors.items():
-                length = float(np.linalg.norm(vector))
-                if 0 < length < _PX4_LEAST:
-                    yield Loss(
-                        what=f"{what} of the {triad} of {name}",
-                        why=f"PX4 (in the versions seen) takes over a vector of {what} only where it changes by more "
-                        f"than {_PX4_LEAST}{own}: from the default it keeps {0 if what == 'offsets' else 1}.",
-                        size=f"their length is {length:.2g}{own}",
-                    )
-
-
-def _ardupilot_identity(calibration: Calibration) -> Iterator[Loss]:
-    numbers = ["" if i == 0 else str(i + 1) for i in range(min(len(calibration.imus), 3))]
-    names = ", ".join(f"INS_ACC{number}_ID and INS_GYR{number}_ID" for number in numbers)
-    yield Loss(
-        what="identity of the sensor",
-        why=f"ArduPilot takes these values only where {names} are those of the sensor that it finds, and refuses to "
-        "arm otherwise: calibrate it once with the ground station, which sets them, then load this file.",
-    )
-
-
-_IGNORED: Mapping[str, tuple[Callable[[Calibration], Iterator[Loss]], ...]] = {
-    "basalt": (_basalt_shift, _gravity("Basalt", "in its code")),
-    "okvis": (_okvis_delay,),
-    "orb-slam3": (_orb_slam3_second_lens, _gravity("ORB-SLAM3", "in its code")),
-    "openvins": (_gravity("OpenVINS", "as gravity_mag in estimator_config.yaml"),),
-    "kalibr": (_kalibr_line_delay,),
-    "px4": (_px4_threshold,),
-    "ardupilot": (_ardupilot_identity,),
-}
-
 
 _FORCE, _RATE = "m/s^2", "rad/s"
 _LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
@@ -215,7 +78,6 @@ class _Maker:
 
 
 _ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer", si=_FORCE), _Maker(triad="gyroscope", si=_RATE)
-
 _UPPER_ANGLES = {"yz": (-1, 0, 1), "zy": (1, 0, 2), "zx": (-1, 1, 2)}
 _ALL_ANGLES = {**_UPPER_ANGLES, "xz": (1, 1, 0), "xy": (-1, 2, 0), "yx": (1, 2, 1)}
 """Tedaldi, Eqs. (2.6), (2.7): angle -> (sign, row, column) in T."""
@@ -328,18 +190,15 @@ EQUATION = (
     "p_cam = R p_imu + t, rows of R: camera axes, columns: body axes; p: the camera in the body frame; "
     "t_imu = t_cam + time_shift_cam_imu"
 )
-
 EQUATION_ALONE = (
     "p_cam = R p_cam0 + t, rows of R: camera axes, columns: axes of cam0; p: the camera in the frame of cam0"
 )
 """The same of cameras without an IMU."""
-
 IMU_EQUATION = (
     "p_imu = R p_body + t, rows of R: axes of this IMU, columns: body axes (imu0's); p: the IMU in the body frame; "
     "t_imu0 = t_imu + time_shift_imu"
 )
 """The same of an IMU beside imu0."""
-
 Known = tuple[FormEntry, float]
 
 
@@ -406,3 +265,78 @@ def _sigmas(jacobian: Floats, covariance: Floats) -> Floats:
 def _lens_names(camera: Camera) -> tuple[list[str], list[str], list[str]]:
     coeffs = DISTORTIONS[camera.distortion].names
     return list(PROJECTIONS[camera.projection].names), ["fu", "fv", "pu", "pv"], list(coeffs)
+
+
+@value_class
+class Baseline:
+    """One camera as another one sees it.
+
+    Attributes
+    ----------
+    T : (4, 4) p_second = T @ p_first [m]
+    covariance : (6, 6) of a small rotation on the right of R_second_first [rad], and of the last column [m]
+    """
+
+    T: Floats
+    covariance: Floats
+
+    @property
+    def distance(self) -> float:
+        """How far apart they are [m]."""
+        return float(np.linalg.norm(self.T[:3, 3]))
+
+    @property
+    def distance_sigma(self) -> float:
+        """Standard deviation of the distance [m]."""
+        along = self.T[:3, 3] / self.distance if self.distance else np.zeros(3)
+        return float(np.sqrt(max(along @ self.covariance[3:, 3:] @ along, 0.0)))
+
+
+def baseline_of(calibration: Calibration, first: str, second: str) -> Baseline:
+    """Return the pose of the second camera to the first one.
+
+    With R_a Exp(d) and t of each camera a against the body, R = R_2 R_1' and t = t_2 - R t_1:
+
+        rotation on the right of R:  R_1 (d_2 - d_1);    t:  dt_2 - R dt_1 + R [t_1]x R_1 (d_2 - d_1)
+
+    Parameters
+    ----------
+    first, second : such as "cam0", "cam1"
+    """
+    one, other = calibration.cameras[first], calibration.cameras[second]
+    R1, t1 = one.T_cam_body[:3, :3], one.T_cam_body[:3, 3]
+    R = other.T_cam_body[:3, :3] @ R1.T
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, other.T_cam_body[:3, 3] - R @ t1
+    turn = np.vstack([R1, R @ skew(t1) @ R1])
+    slopes = {
+        first: np.hstack([-turn, np.vstack([np.zeros((3, 3)), -R])]),
+        second: np.hstack([turn, np.vstack([np.zeros((3, 3)), np.eye(3)])]),
+    }
+    known = [name for name in (first, second) if name != calibration.cameras[name].body]
+    paths = [
+        f"{name}.{calibration.cameras[name].link}.{part}" for name in known for part in ("rotation", "translation")
+    ]
+    jacobian = np.hstack([slopes[name] for name in known])
+    return Baseline(T=T, covariance=jacobian @ calibration.covariance(*paths) @ jacobian.T)
+
+
+def value_text(value: float, sigma: float) -> str:
+    """Return value and sigma with two significant digits of sigma.
+
+    Examples
+    --------
+    >>> value_text(414.4075, 0.01234), value_text(0.0, 0.0), value_text(1.23456e-7, 1.2e-9)
+    ('414.408 ± 0.012', '0 (fixed)', '(1.235 ± 0.012)e-07')
+    """
+    if sigma == 0:
+        return f"{value:.6g} (fixed)"
+    if not isfinite(sigma):
+        return f"{value:.6g} (unknown sigma)"
+    exponent = floor(log10(float(f"{sigma:.1e}")))
+    largest = max(exponent, floor(log10(abs(value))) if value else exponent)
+    if -4 <= largest < 6 and exponent < 2:
+        decimals = 1 - exponent
+        return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+    scale, decimals = 10.0**largest, largest - exponent + 1
+    return f"({value / scale:.{decimals}f} ± {sigma / scale:.{decimals}f})e{largest:+03d}"

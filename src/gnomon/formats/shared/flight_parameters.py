@@ -10,24 +10,39 @@ from dataclasses import replace
 from os import PathLike
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from ...errors import FormatError, OptionError
 from ...frozen import value_class
 from ...models.project_forms import DiagonalTriad
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
+from ...results.temperature_dependence import TemperatureDependence
 from ..foreign import ForeignCalibration, recognised_frame
-from .flight_temperature import FlightTemperature, flight_temperature
 from .losses import Context, Loss
 from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
 from .si_units import refuse_counts, si_conversions
 from .structured import read_structured_text
 
+
+@value_class
+class FlightTemperature:
+    """What is taken off the samples of an IMU.
+
+    Attributes
+    ----------
+    found : the biases over the temperature
+    at_reference : triad -> what is taken off at the reference, (3,) [m/s^2, rad/s]
+    """
+
+    found: TemperatureDependence
+    at_reference: Mapping[str, Floats]
+
+
 _PX4 = re.compile(r"CAL_(ACC|GYRO)(\d)_([XYZ])(OFF|SCALE)")
 _ARDUPILOT = re.compile(r"INS_(ACC|GYR)(\d?)(OFFS|SCAL)_([XYZ])")
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _LINE = re.compile(rf"^[ \t]*(?:\d+\s+\d+\s+|param\s+set(?:-default)?\s+)?([A-Z][A-Z0-9_]+)[ \t,=]+({_NUMBER})\b", re.M)
-
 Key = tuple[int, str, str]
 """Index of the IMU from 0, "ACC" or "GYR", "offset" or "scale"."""
 
@@ -211,3 +226,60 @@ def flight_losses(calibration: Calibration, whose: str, most: int, context: Cont
         floats="keeps",
     )  # fmt: skip
     yield from not_representable(calibration, holds, context)
+
+
+ARDUPILOT_REFERENCE_DEGC = 35.0
+_TRIADS = {"accelerometer": ("A", "ACC"), "gyroscope": ("G", "GYR")}
+_PX4_RANGE, _ARDUPILOT_RANGE = (0.0, 100.0), (0.0, 70.0)
+"""Where the parameters state none: the programs' defaults [degC]."""
+
+
+def flight_temperature(parameters: Mapping[str, float], index: int) -> FlightTemperature | None:
+    """Return what the temperature changes of one IMU; None where it is not stated, or not enabled.
+
+    Parameters
+    ----------
+    parameters : of one of the programs
+    index : of the IMU, from 0
+    """
+    taken: dict[str, tuple[float, list[Polynomial]]] = {}
+    ranges: list[tuple[float, float]] = []
+    for triad, (letter, word) in _TRIADS.items():
+        px4, ardupilot = f"TC_{letter}{index}_", f"INS_TCAL{index + 1}_"
+        if parameters.get(f"TC_{letter}_ENABLE") and f"{px4}X1_0" in parameters:
+            reference = parameters.get(f"{px4}TREF", 25.0)
+            rows = [[parameters.get(f"{px4}X{order}_{axis}", 0.0) for order in range(4)] for axis in range(3)]
+            taken[triad] = reference, [Polynomial(row) for row in rows]
+            ranges.append(_range(parameters, px4, _PX4_RANGE))
+        elif parameters.get(f"{ardupilot}ENABLE") and f"{ardupilot}{word}1_X" in parameters:
+            reference = parameters.get(f"INS_{word}{index + 1}_CALTEMP", ARDUPILOT_REFERENCE_DEGC)
+            about = Polynomial([reference - ARDUPILOT_REFERENCE_DEGC, 1.0])
+            polynomials = list[Polynomial]()
+            for axis in "XYZ":
+                row = [1e-6 * parameters.get(f"{ardupilot}{word}{order}_{axis}", 0.0) for order in (1, 2, 3)]
+                moved = Polynomial([0.0, *row])(about)
+                polynomials.append(moved - moved(0.0))
+            taken[triad] = reference, polynomials
+            ranges.append(_range(parameters, ardupilot, _ARDUPILOT_RANGE))
+    if not taken:
+        return None
+    reference = next(iter(taken.values()))[0]
+    at_reference: dict[str, Floats] = {}
+    biases: dict[str, Floats] = {}
+    for triad, (own, polynomials) in taken.items():
+        rows = np.zeros((4, 3))
+        for axis, polynomial in enumerate(polynomials):
+            coefficients = np.asarray(polynomial(Polynomial([reference - own, 1.0])).coef)
+            rows[: len(coefficients), axis] = coefficients
+        at_reference[triad] = rows[0]
+        if (order := int(np.flatnonzero(rows.any(axis=1)).max(initial=0))) > 0:
+            biases[f"{triad}_bias"] = rows[1 : order + 1]
+    low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
+    return FlightTemperature(
+        found=TemperatureDependence(reference_degc=reference, low_degc=low, high_degc=high, lag_s=0.0, **biases),
+        at_reference=at_reference,
+    )
+
+
+def _range(parameters: Mapping[str, float], prefix: str, usual: tuple[float, float]) -> tuple[float, float]:
+    return parameters.get(f"{prefix}TMIN", usual[0]), parameters.get(f"{prefix}TMAX", usual[1])

@@ -16,13 +16,13 @@ import numpy as np
 
 from ...errors import FormatError, OptionError
 from ...geometry.quaternion import normalise_quaternion, rotation_from_quaternion
+from ...geometry.rotation_vector import inverse_pose
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName
 from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array
 from ...results.calibration import CameraCalibration
-from .baselines import inverse_pose
 from .structured import Node, parse_yaml, read_structured_text
 
 _ROW_WITH_COMMA = re.compile(r"^(\s*(?:-\s|[\w.]+\s*:).*[\]}])\s*,\s*(#.*)?$")

@@ -1,8 +1,11 @@
-"""What a format cannot represent, in words and numbers, and what a conversion knows besides the calibration."""
+"""What a format cannot represent, in words and numbers, and what a conversion knows besides the calibration.
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, field
-from itertools import groupby
+Also what programs do not use of the numbers that their own files hold, as their source code was found to be, and the
+lens with k3 (radtan5) for programs that know radtan without: the coefficients that come nearest over the image.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, field, replace
 from math import degrees
 from textwrap import wrap
 from typing import Any
@@ -16,8 +19,9 @@ from ...models.camera import Camera, knows_lens
 from ...models.frames import AXES, Floats, frame_rotation
 from ...models.lens_names import PROGRAMS
 from ...models.noise import ImuNoise
-from ...results.calibration import Calibration, ImuCalibration, calibration_parameters, element_names
-from ...units import STANDARD_GRAVITY_M_S2
+from ...models.projections import PROJECTIONS
+from ...results.calibration import Calibration, CameraCalibration
+from ...results.result import prior_held_names
 from ..foreign import FOREIGN_METHOD
 
 
@@ -91,57 +95,6 @@ def uncertainty_loss(format_name: str) -> Loss:
         what="uncertainty and origin",
         why=f"{format_name} has no place for sigmas, covariance, verdict and provenance. Keep calibration.yaml.",
     )
-
-
-def magnetometer_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
-    """Say that a format has no place for magnetometers."""
-    for name, imu in calibration.imus.items():
-        if imu.magnetometer is not None:
-            yield Loss(
-                what=f"magnetometer of {name}",
-                why=f"{format_name} knows none. Use c-header or csv to write it too, or keep calibration.yaml.",
-            )
-
-
-def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
-    """Say that a format of inertial sensors has no place for cameras, nor for where several IMUs are."""
-    if calibration.cameras:
-        yield Loss(
-            what=", ".join(calibration.cameras),
-            why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
-            f"Use {join_names(formats_of(c.camera for c in calibration.cameras.values()), 'or')} to write them too, or "
-            "keep calibration.yaml.",
-        )
-    for name, imu in calibration.imus.items():
-        if imu.T_imu_body is not None:
-            yield Loss(
-                what=f"pose and clock of {name}",
-                why=f"{format_name} does not say how IMUs lie to each other: T_imu_body and time shift are left out. "
-                "Use kalibr, json or csv to write them too.",
-                size=f"{1e3 * float(np.linalg.norm(imu.T_imu_body[:3, 3])):.3g} mm, {1e3 * imu.time_shift_s:+.6g} ms",
-            )
-
-
-def g_sensitivity_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
-    """Say what leaving out the g-sensitivity costs, for each gyroscope that has one."""
-    for name, imu in calibration.imus.items():
-        size = g_sensitivity_rate(imu)
-        if size:
-            yield Loss(
-                what=f"g-sensitivity of {name}",
-                why=f"{format_name} knows no gyroscope bias that depends on the specific force. Use kalibr, "
-                "openvins, imucal, c-header or csv to keep it, or calibrate with --model basic so that the bias "
-                "absorbs what it can.",
-                size=f"up to {size:.2g} rad/s = {degrees(size):.2g} deg/s at 1 g",
-            )
-
-
-def g_sensitivity_rate(imu: ImuCalibration) -> float:
-    """Return the largest rate that the g-sensitivity feigns at 1 g, over all attitudes [rad/s]."""
-    if imu.gyroscope is None:
-        return 0.0
-    response = np.linalg.inv(imu.gyroscope.sensitivity) @ imu.gyroscope.g_sensitivity
-    return float(np.linalg.norm(response, 2)) * STANDARD_GRAVITY_M_S2
 
 
 def rotation_angle(rotation: Floats) -> float:
@@ -275,19 +228,6 @@ def origin_remarks(calibration: Calibration) -> tuple[str, ...]:
     return tuple(found)
 
 
-def prior_held_names(calibration: Calibration) -> tuple[str, ...]:
-    """Return what a prior holds, whole parameters by their path and others number by number."""
-    sizes = {
-        path: len(element_names(path, value.shape))
-        for path, value in calibration_parameters(calibration.imus, calibration.cameras)
-    }
-    names: list[str] = []
-    for path, group in groupby(calibration.assessment.held_by_prior, key=lambda name: name.split("[")[0]):
-        elements = list(group)
-        names += [path] if len(elements) == sizes.get(path) else elements
-    return tuple(names)
-
-
 def _given(calibration: Calibration) -> tuple[str, ...]:
     """Return which lenses were taken as stated; where no sigma is known at all nothing is said."""
     names: list[str] = []
@@ -319,3 +259,189 @@ def unknown_lens(name: str, camera: Camera, known: str) -> OptionError:
     return OptionError(
         f"{name} is {camera.model}, and {known}. Calibrate the camera with one of these, or convert to {others}."
     )
+
+
+_NEAR_GRID = 40  # pixels of the grid along each side of the image
+
+
+@value_class
+class NearestLens:
+    """A lens of a simpler model, and how far its pixels are from those of the first [px]."""
+
+    camera: Camera
+    rms_px: float = 0.0
+    largest_px: float = 0.0
+
+
+def without_k3(camera: Camera) -> NearestLens:
+    """Return the radtan lens that is nearest to a radtan5 one, focal lengths and principal point kept; others as is."""
+    if camera.distortion != "radtan5":
+        return NearestLens(camera=camera)
+    width, height = camera.resolution
+    u, v = np.meshgrid(np.linspace(0, width - 1, _NEAR_GRID), np.linspace(0, height - 1, _NEAR_GRID))
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    rays, valid = camera.unproject(pixels)
+    rays, pixels = rays[valid], pixels[valid]
+    shape = tuple(camera.intrinsics[:-4].tolist())
+    x, y, z = rays[:, 0], rays[:, 1], rays[:, 2]
+    divisor = PROJECTIONS[camera.projection].divide(shape, x, y, z, False).value
+    mx, my = x / divisor, y / divisor
+    s, cross = mx * mx + my * my, 2 * mx * my
+    fu, fv, pu, pv = camera.intrinsics[-4:].tolist()
+    rows_u = fu * np.column_stack([s * mx, s * s * mx, cross, s + 2 * mx * mx])
+    rows_v = fv * np.column_stack([s * my, s * s * my, s + 2 * my * my, cross])
+    wanted = pixels - np.column_stack([fu * mx + pu, fv * my + pv])
+    coeffs = np.linalg.lstsq(np.vstack([rows_u, rows_v]), wanted.T.ravel(), rcond=None)[0]
+    nearest = replace(camera, distortion="radtan", distortion_coeffs=coeffs)
+    off = np.linalg.norm(wanted - np.column_stack([rows_u @ coeffs, rows_v @ coeffs]), axis=1)
+    return NearestLens(camera=nearest, rms_px=float(np.sqrt(np.mean(off**2))), largest_px=float(off.max()))
+
+
+def cameras_without_k3(cameras: Mapping[str, CameraCalibration]) -> dict[str, CameraCalibration]:
+    """Return the cameras with such lenses."""
+    return {name: replace(camera, camera=without_k3(camera.camera).camera) for name, camera in cameras.items()}
+
+
+def k3_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
+    """Say what leaving out k3 costs."""
+    for name, camera in calibration.cameras.items():
+        if camera.camera.distortion == "radtan5":
+            nearest = without_k3(camera.camera)
+            yield Loss(
+                what=f"k3 of {name}",
+                why=f"{whose} knows k1, k2, p1 and p2 only; they were chosen anew to be nearest over the image.",
+                size=f"{nearest.rms_px:.2g} px rms, up to {nearest.largest_px:.2g} px",
+            )
+
+
+_GRAVITY_M_S2 = 9.81
+_LEAST_GRAVITY_M_S2 = 5e-4
+_PX4_LEAST = 0.01  # of the length of the change of a vector [m/s^2], [rad/s], [1]
+_GRID = 24
+
+
+def ignored_values(calibration: Calibration, to: str) -> Iterator[Loss]:
+    """Yield what a program passes over although its file has it, each with its size and what to do.
+
+    Parameters
+    ----------
+    to : the format, such as "basalt"
+    """
+    for found in _IGNORED.get(to, ()):
+        yield from found(calibration)
+
+
+def _basalt_shift(calibration: Calibration) -> Iterator[Loss]:
+    yield from _shift(
+        calibration,
+        "cam_time_offset_ns",
+        "Basalt's odometry does not use it: the line that would add it to the timestamps of the images is commented "
+        "out",
+    )
+
+
+def _okvis_delay(calibration: Calibration) -> Iterator[Loss]:
+    yield from _shift(
+        calibration, "image_delay", "one of the two repositories of OKVIS2 reads it and does not apply it"
+    )
+
+
+def _shift(calibration: Calibration, key: str, why: str) -> Iterator[Loss]:
+    shift = next((camera.time_shift_cam_imu for camera in calibration.cameras.values()), 0.0)
+    if shift:
+        yield Loss(
+            what=key,
+            why=f"{why}. Where yours does so, add the shift to the timestamps of the images (t_imu = t_cam + shift) "
+            f"and set {key} to 0.",
+            size=f"shift {shift * 1e3:+.6g} ms",
+        )
+
+
+def _gravity(whose: str, where: str) -> Callable[[Calibration], Iterator[Loss]]:
+    def found(calibration: Calibration) -> Iterator[Loss]:
+        apart = calibration.gravity.value - _GRAVITY_M_S2
+        if calibration.cameras and abs(apart) > _LEAST_GRAVITY_M_S2:
+            yield Loss(
+                what="gravity",
+                why=f"{whose} has {_GRAVITY_M_S2} m/s^2 {where}; this calibration rests on "
+                f"{calibration.gravity.value:.5f} m/s^2. Set it there, or the bias takes the difference.",
+                size=f"{1e3 * apart:+.2g} mm/s^2",
+            )
+
+    return found
+
+
+def _orb_slam3_second_lens(calibration: Calibration) -> Iterator[Loss]:
+    """`Settings::readCamera2` takes Camera1.k1 to Camera1.k4 for the second KannalaBrandt8 lens."""
+    cameras = list(calibration.cameras.items())[:2]
+    if len(cameras) == 2 and all(camera.camera.distortion == "equidistant" for _, camera in cameras):
+        (_, first), (name, second) = cameras
+        width, height = second.camera.resolution
+        u, v = np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID))
+        pixels = np.column_stack([u.ravel(), v.ravel()])
+        rays, valid = second.camera.unproject(pixels)
+        taken = replace(second.camera, distortion_coeffs=first.camera.distortion_coeffs)
+        image = taken.project(rays[valid], point_jacobian=False)
+        apart = np.linalg.norm(image.pixels - pixels[valid], axis=1)[image.valid]
+        yield Loss(
+            what=f"Camera2.k1 to k4 of {name}",
+            why="ORB-SLAM3 reads Camera1.k1 to k4 for the second lens, too (Settings::readCamera2); fix it there.",
+            size=f"{np.mean(apart):.2g} px off on average, {np.max(apart):.2g} px at worst",
+        )
+
+
+def _kalibr_line_delay(calibration: Calibration) -> Iterator[Loss]:
+    for name, camera in calibration.cameras.items():
+        if camera.camera.line_delay_s:
+            height = camera.camera.resolution[1]
+            yield Loss(
+                what=f"line_delay of {name}",
+                why="Kalibr's camera-IMU tool takes all rows of an image as of one instant: timeshift_cam_imu "
+                f"{1e3 * camera.middle_row_delay_s:+.6g} ms; the file has that of row 0.",
+                size=f"{1e6 * camera.camera.line_delay_s:.3g} us a row, "
+                f"{1e3 * abs(camera.camera.line_delay_s) * height:.3g} ms an image",
+            )
+
+
+def _px4_threshold(calibration: Calibration) -> Iterator[Loss]:
+    from .flight_parameters import flight_imu
+
+    for name, imu in calibration.imus.items():
+        flight = flight_imu(imu)
+        triads = {"accelerometer": (flight.accelerometer, "m/s^2"), "gyroscope": (flight.gyroscope, "rad/s")}
+        for triad, (found, unit) in triads.items():
+            if found is None:
+                continue
+            vectors = {"offsets": (found.offset, f" {unit}")}
+            if triad == "accelerometer":
+                vectors["scales"] = (found.scale - 1, "")
+            for what, (vector, own) in vectors.items():
+                length = float(np.linalg.norm(vector))
+                if 0 < length < _PX4_LEAST:
+                    yield Loss(
+                        what=f"{what} of the {triad} of {name}",
+                        why=f"PX4 (in the versions seen) takes over a vector of {what} only where it changes by more "
+                        f"than {_PX4_LEAST}{own}: from the default it keeps {0 if what == 'offsets' else 1}.",
+                        size=f"their length is {length:.2g}{own}",
+                    )
+
+
+def _ardupilot_identity(calibration: Calibration) -> Iterator[Loss]:
+    numbers = ["" if i == 0 else str(i + 1) for i in range(min(len(calibration.imus), 3))]
+    names = ", ".join(f"INS_ACC{number}_ID and INS_GYR{number}_ID" for number in numbers)
+    yield Loss(
+        what="identity of the sensor",
+        why=f"ArduPilot takes these values only where {names} are those of the sensor that it finds, and refuses to "
+        "arm otherwise: calibrate it once with the ground station, which sets them, then load this file.",
+    )
+
+
+_IGNORED: Mapping[str, tuple[Callable[[Calibration], Iterator[Loss]], ...]] = {
+    "basalt": (_basalt_shift, _gravity("Basalt", "in its code")),
+    "okvis": (_okvis_delay,),
+    "orb-slam3": (_orb_slam3_second_lens, _gravity("ORB-SLAM3", "in its code")),
+    "openvins": (_gravity("OpenVINS", "as gravity_mag in estimator_config.yaml"),),
+    "kalibr": (_kalibr_line_delay,),
+    "px4": (_px4_threshold,),
+    "ardupilot": (_ardupilot_identity,),
+}

@@ -3,28 +3,20 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
+from math import degrees
 from typing import Literal
 
 import numpy as np
 
 from ...errors import OptionError
+from ...findings import join_names
 from ...frozen import field_names, value_class
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
 from ...results.temperature_dependence import TemperatureDependence
 from ...units import STANDARD_GRAVITY_M_S2
-from .lens_refit import k3_losses
-from .losses import (
-    Context,
-    Loss,
-    StatedImu,
-    g_sensitivity_losses,
-    magnetometer_losses,
-    numbers_text,
-    rig_losses,
-    uncertainty_loss,
-)
+from .losses import Context, Loss, StatedImu, formats_of, k3_losses, numbers_text, uncertainty_loss
 from .si_units import Conversion, count_losses, si_conversions
 
 _NOTHING = 1e-12
@@ -304,3 +296,54 @@ def rest_size(rest: Floats, triad: str) -> str:
         "gyroscope": f"up to {100 * whole:.2g} % of the rate",
     }[triad]
     return f"{', '.join(parts)}: {effect}"
+
+
+def magnetometer_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say that a format has no place for magnetometers."""
+    for name, imu in calibration.imus.items():
+        if imu.magnetometer is not None:
+            yield Loss(
+                what=f"magnetometer of {name}",
+                why=f"{format_name} knows none. Use c-header or csv to write it too, or keep calibration.yaml.",
+            )
+
+
+def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say that a format of inertial sensors has no place for cameras, nor for where several IMUs are."""
+    if calibration.cameras:
+        yield Loss(
+            what=", ".join(calibration.cameras),
+            why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
+            f"Use {join_names(formats_of(c.camera for c in calibration.cameras.values()), 'or')} to write them too, or "
+            "keep calibration.yaml.",
+        )
+    for name, imu in calibration.imus.items():
+        if imu.T_imu_body is not None:
+            yield Loss(
+                what=f"pose and clock of {name}",
+                why=f"{format_name} does not say how IMUs lie to each other: T_imu_body and time shift are left out. "
+                "Use kalibr, json or csv to write them too.",
+                size=f"{1e3 * float(np.linalg.norm(imu.T_imu_body[:3, 3])):.3g} mm, {1e3 * imu.time_shift_s:+.6g} ms",
+            )
+
+
+def g_sensitivity_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say what leaving out the g-sensitivity costs, for each gyroscope that has one."""
+    for name, imu in calibration.imus.items():
+        size = g_sensitivity_rate(imu)
+        if size:
+            yield Loss(
+                what=f"g-sensitivity of {name}",
+                why=f"{format_name} knows no gyroscope bias that depends on the specific force. Use kalibr, "
+                "openvins, imucal, c-header or csv to keep it, or calibrate with --model basic so that the bias "
+                "absorbs what it can.",
+                size=f"up to {size:.2g} rad/s = {degrees(size):.2g} deg/s at 1 g",
+            )
+
+
+def g_sensitivity_rate(imu: ImuCalibration) -> float:
+    """Return the largest rate that the g-sensitivity feigns at 1 g, over all attitudes [rad/s]."""
+    if imu.gyroscope is None:
+        return 0.0
+    response = np.linalg.inv(imu.gyroscope.sensitivity) @ imu.gyroscope.g_sensitivity
+    return float(np.linalg.norm(response, 2)) * STANDARD_GRAVITY_M_S2

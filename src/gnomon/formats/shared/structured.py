@@ -6,7 +6,6 @@ square of the depth. Aliases let nine lines stand for a thousand million values.
 
 import json
 import re
-import stat
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -14,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import FormatError, RecordingError
+from ...errors import FormatError
 from ...frozen import value_class
+from ...output import refuse_special
 from ...recording import Floats
 
 LARGEST_BYTES, LARGEST_YAML_BYTES = 32 << 20, 8 << 20
@@ -406,28 +406,6 @@ def read_structured_text(path: str | PathLike[str]) -> str:
             f"{path}: this is no text file (byte {error.start} is not UTF-8), as those of calibrations, cameras and "
             "boards are. Is it the recording, given in the place of the calibration?"
         ) from error
-
-
-def refuse_special(path: Path) -> None:
-    """Refuse what is neither a file nor a folder: a pipe gives its bytes once, and a device has no end.
-
-    Raises
-    ------
-    RecordingError
-        If it is a pipe, a device or a socket.
-    """
-    try:
-        mode = path.stat().st_mode
-    except OSError:  # whoever opens it says what is wrong
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        kind = (
-            "a pipe" if stat.S_ISFIFO(mode) else "a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "a socket"
-        )
-        raise RecordingError(
-            f"{path}: this is {kind}, and gnomon reads its inputs more than once. Write what comes out of it into a "
-            "file, such as zcat a.csv.gz > a.csv, and give that file."
-        )
 
 
 def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ...errors import RecordingError
-from ...formats.shared.structured import refuse_special
+from ...output import refuse_special
 from ...recording.frames import Grey
 from ..files import is_mp4_head
 from .image_pixels import bit_depth, decode_picture, largest_in_picture

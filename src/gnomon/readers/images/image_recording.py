@@ -9,10 +9,10 @@ from types import MappingProxyType
 from ...errors import FormatError, OptionError, RecordingError
 from ...formats.kalibr.camchain import camera_of
 from ...formats.kalibr.imu import ImuInput
-from ...formats.shared.baselines import inverse_pose
 from ...formats.shared.foreign_yaml import read_foreign_yaml, read_transform
 from ...formats.shared.structured import Node
 from ...frozen import value_class
+from ...geometry.rotation_vector import inverse_pose
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array

@@ -14,7 +14,7 @@ from ..camera_images import images_section
 from ..certificate import calibration_page, groups_over_temperature
 from ..corners import corner_view
 from ..drawing.rig import origin_figure, rig_drawing
-from ..numbers import MISSING, estimate_text, fixed_text, number_text, with_sigma
+from ..numbers import MISSING, estimate_text, fixed_text, number_text
 from ..page import (
     FRAMES,
     Code,
@@ -23,14 +23,13 @@ from ..page import (
     Legend,
     ParameterGroup,
     ParameterTable,
-    Prose,
     ReportPage,
     ReportTable,
     Section,
     aligned_matrix,
+    assumptions_section,
     gravity_text,
     provenance_section,
-    typeset_finding,
 )
 from ..rig_parameters import (
     baseline_groups,
@@ -55,6 +54,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
     """Return the page of a camera-IMU calibration."""
     fit = calibration.assessment.camera_imu
     word = "corner" if diagnostics.scene is None else "landmark"
+    imaged = any(corners.quality is not None for corners in diagnostics.corners.values())
     views = {name: corner_view(corners, word) for name, corners in diagnostics.corners.items()}
     parts = (
         camera_poses_section(calibration, diagnostics),
@@ -62,7 +62,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         trust_section(calibration.assessment, diagnostics.trust),
         evidence.fit_section(diagnostics),
         evidence.camera_imu_residuals_section(diagnostics, views),
-        images_section(diagnostics.corners),
+        images_section(diagnostics.corners) if imaged else None,
         evidence.camera_imu_coverage_section(diagnostics, views),
         evidence.scene_section(diagnostics),
         evidence.biases_section(diagnostics),
@@ -129,8 +129,7 @@ def _fit_numbers(fit: CameraImuFit, *, before_board: bool) -> tuple[KeyNumber, K
 
 
 def _in_ms(calibration: Calibration, path: str) -> str:
-    text, sigma = with_sigma(1e3 * float(calibration.parameter(path)), 1e3 * float(calibration.sigma(path)))
-    return f"{text}{f' ± {sigma}' if sigma else ''}\u00a0ms"
+    return f"{estimate_text(1e3 * float(calibration.parameter(path)), 1e3 * float(calibration.sigma(path)))}\u00a0ms"
 
 
 def _placed(calibration: Calibration) -> KeyNumber:
@@ -147,7 +146,7 @@ def _placed(calibration: Calibration) -> KeyNumber:
 
 
 def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Section:
-    gravity, assessment = calibration.gravity, calibration.assessment
+    gravity = calibration.gravity
     frame = FRAMES.get(calibration.frame, calibration.frame)
     status = {parameter.name: parameter.status for parameter in diagnostics.parameters}
     points = [
@@ -161,19 +160,14 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
             "the translations."
         )
     if status.get("target.scale", "fixed") == "fixed":
-        shape = "" if "board" in assessment.trust.added else "flat and "
+        shape = "" if "board" in calibration.assessment.trust.added else "flat and "
         points.append(
             f"The board is {shape}as large as its file says. An error of its size is the same relative error of every "
             "length, the translations included."
         )
     for name, camera in calibration.cameras.items():
         points += _camera_points(calibration, name, camera.camera.line_delay_s)
-    points += [typeset_finding(finding).message for finding in assessment.findings if finding.code == "assumed"]
-    if assessment.held_by_prior:
-        points.append(
-            f"Not determined by this recording, and held by assumption: {', '.join(assessment.held_by_prior)}."
-        )
-    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
+    return assumptions_section(calibration, points)
 
 
 def _origin(calibration: Calibration) -> str:

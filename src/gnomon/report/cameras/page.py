@@ -12,8 +12,8 @@ from ...results.camera_diagnostics import CamerasDiagnostics
 from ..camera_images import images_section
 from ..certificate import calibration_page
 from ..corners import CornerView, corner_view
-from ..numbers import MISSING, finite_values, number_text, percent_text, with_sigma
-from ..page import Code, KeyNumber, Prose, ReportPage, Section, provenance_section, typeset_finding
+from ..numbers import MISSING, estimate_text, finite_values, number_text, percent_text
+from ..page import Code, KeyNumber, ReportPage, Section, assumptions_section, provenance_section
 from ..rig_parameters import pose_numbers
 from ..trust import noise_table, parameters_section, steps_table, trust_section
 from . import sections
@@ -78,11 +78,10 @@ def _key_numbers(
     others = [name for name, camera in calibration.cameras.items() if name != camera.body]
     if others:
         values, sigmas = pose_numbers(calibration, others[0])
-        text, sigma = with_sigma(float(values[3]), float(sigmas[3]))
         note = "; ".join(
             f"{name} {number_text(float(pose_numbers(calibration, name)[0][3]), 5)} mm" for name in others[1:]
         )
-        value = f"{text}{f' ± {sigma}' if sigma else ''}\u00a0mm"
+        value = f"{estimate_text(float(values[3]), float(sigmas[3]))}\u00a0mm"
         numbers.append(KeyNumber(f"Baseline to {others[0]}", value, note or "from cam0"))
     else:
         lens = next(iter(calibration.cameras.values())).camera
@@ -129,11 +128,10 @@ def _pooled(corners: Mapping[str, int], rms_px: Mapping[str, float]) -> float:
 
 def _focal(calibration: Calibration, curves: dict[str, RadialCurve]) -> KeyNumber:
     name, curve = next(iter(curves.items()))
-    text, sigma = with_sigma(curve.focal, curve.focal_sigma)
     models = ", ".join(dict.fromkeys(entry.camera.model for entry in calibration.cameras.values()))
     return KeyNumber(
         f"Focal length of {name}",
-        f"{text}{f' ± {sigma}' if sigma else ''}\u00a0px",
+        f"{estimate_text(curve.focal, curve.focal_sigma)}\u00a0px",
         f"at the axis, mean of u and v; {models}",
     )
 
@@ -179,12 +177,7 @@ def _assumptions(calibration: Calibration, fit: CamerasFit | None) -> Section:
         points.append(f"All rows of an image of {name} are exposed at once, or the camera stood still.")
         if not calibration.sigma(f"{name}.intrinsics").any():
             points.append(f"The lens of {name} ({entry.camera.model}) is as given; it was not estimated.")
-    points += [
-        typeset_finding(finding).message for finding in calibration.assessment.findings if finding.code == "assumed"
-    ]
-    if held := calibration.assessment.held_by_prior:
-        points.append(f"Not determined by these views, and held by assumption: {', '.join(held)}.")
-    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
+    return assumptions_section(calibration, points, by="these views")
 
 
 PROJECTION_FORMULAS = {

@@ -1,13 +1,12 @@
-"""A simulated camera-IMU recording -> a folder that `gnomon.read_camera_imu` reads, with its truth beside it.
+"""A simulated recording of cameras, alone or with IMUs -> a folder that gnomon reads, with its truth beside it.
 
 cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
 cam0/data.csv, cam0/data/<timestamp>.png    in their place, where the scenario wants images
-imu0.csv.gz, ...      the samples of each IMU; imu0-acc.csv.gz and imu0-gyr.csv.gz where its triads have timestamps of
-their
-                      own
+imu0.csv.gz, ...      the samples of each IMU; imu0-acc.csv.gz and imu0-gyr.csv.gz where triads have timestamps apart
 mav0, recording.bag, recording, recording.mcap    images and samples in one of these, where another form is wanted
-camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise (of several IMUs keyed imu0, imu1), board
+camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise (of several IMUs keyed imu0, imu1), board;
+                      of cameras alone the sizes of the images and a lens that stands in, beside corners
 truth.yaml            what is true, as a calibration file
 groundtruth.txt       the true path in the TUM format
 scenario.yaml         what was simulated
@@ -16,11 +15,14 @@ scenario.yaml         what was simulated
 import gzip
 import io
 import shutil
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,22 +35,30 @@ from ..models.camera import Camera
 from ..output import atomic_file, write_whole
 from ..progress import Progress
 from ..recording import CameraFrames, ImuSamples, Recording
+from ..recording.frames import Frame, Grey
+from ..recording.recording import ImageRecording
 from ..results.camera_diagnostics import TrajectoryTrack
 from ..simulate.camera_imu import CameraImuSimulation, MotionStatistics
-from ..simulate.images.board_images import simulated_images
+from ..simulate.cameras import CamerasSimulation
+from ..simulate.images.board_images import rendered_cameras, simulated_images
 from ..simulate.images.room_images import room_images
 from ..simulate.scenarios.camera_imu import MOST_IMUS, RoomScenario
-from .pose_files import trajectory_text
+from .bag_recording import save_bag
+from .euroc_folder import save_euroc
+from .kalibr_files import trajectory_text
 from .recording_file import save_recording
-from .recording_forms import PLACES, ImageForm, save_images
+from .video import save_simulated_images
 
+_WORKERS, _AHEAD = 2, 8
+ImageForm = Literal["folder", "euroc", "ros1", "ros2", "mcap"]
+PLACES: dict[ImageForm, str] = {"euroc": "mav0", "ros1": "recording.bag", "ros2": "recording", "mcap": "recording.mcap"}
+"""What is made in the folder; as "folder", a folder of each camera."""
 CAMERA_FILES = (
     *(f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")),
     *PLACES.values(),
     *(f"imu{number}{ending}.csv.gz" for number in range(MOST_IMUS) for ending in ("", "-acc", "-gyr")),
 )
 """Files and folders of cameras and samples in the folder of a simulated recording; it has some of them."""
-
 _COMPRESSION = 6
 _SCENARIO = """\
 # What was simulated, with seed {seed}. Units are in the names: _s seconds, _m metres, _px pixels; all others are SI.
@@ -203,3 +213,104 @@ def _track(simulation: CameraImuSimulation) -> TrajectoryTrack:
         omega_imu=true.omega_imu,
         f_imu=true.f_imu,
     )
+
+
+CAMERAS_FILES = (
+    *(f"cam{i}{ending}" for i in range(3) for ending in ("", "_corners.csv.gz", "_frames.csv")),
+    *PLACES.values(),
+    *("camchain.yaml", "target.yaml", "truth.yaml", "scenario.yaml"),
+)
+"""Files and folders of a simulated recording of cameras; it has some of them."""
+_STAND_IN_CHAIN = "# Sizes of the images; the lenses only stand in, what is true of them stands in truth.yaml.\n"
+_LENS_SCENARIO = "# What was simulated, with seed {seed}. Units are in the names: _s seconds, _m metres, _px pixels.\n"
+
+
+def save_cameras_recording(
+    simulation: CamerasSimulation,
+    folder: Path,
+    form: ImageForm = "folder",
+    progress: Progress | None = None,
+) -> tuple[Path, ...]:
+    """Write a simulated recording and its truth into a folder that is there, and return the files.
+
+    Of images, which are rendered now, the tables are returned.
+
+    Parameters
+    ----------
+    simulation : what was simulated
+    folder : nothing of the recording's names is in it
+    form : of images; corners, where the scenario wants no images, are always written as tables
+    progress : called with a sentence now and then
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    written: list[Path] = []
+    texts: dict[str, str] = {}
+    if simulation.scenario.images:
+        written += save_images(rendered_cameras(simulation), folder, form, progress)
+    else:
+        for name, frames in simulation.recording.cameras.items():
+            written += save_frames(frames, folder, name)
+        chain = {name: camera_node(frames.camera) for name, frames in simulation.recording.cameras.items()}
+        texts["camchain.yaml"] = _STAND_IN_CHAIN + kalibr_yaml(chain)
+    texts["target.yaml"] = target_text(simulation.target)
+    texts["truth.yaml"] = calibration_text(simulation.truth)
+    texts["scenario.yaml"] = _LENS_SCENARIO.format(seed=simulation.seed) + options_text(simulation.scenario)
+    for name, text in texts.items():
+        write_whole(folder / name, text)
+        written.append(folder / name)
+    return tuple(written)
+
+
+def save_images(
+    recording: ImageRecording, folder: Path, form: ImageForm, progress: Progress | None = None
+) -> tuple[Path, ...]:
+    """Write images, and what was recorded with them, into a folder; return the files, of images their tables.
+
+    Parameters
+    ----------
+    recording : in the form "folder" its images alone
+    folder : it is there, and has nothing in it of the same names
+    form : "folder" (cam0/data.csv and cam0/data/<timestamp>.png), "euroc" (the same in mav0, with sensor.yaml), "ros1",
+        "ros2" (SQLite) or "mcap"
+    progress : called with a sentence now and then
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    if form == "folder":
+        return tuple(
+            save_simulated_images(stream, folder / name, progress) for name, stream in recording.streams.items()
+        )
+    if form == "euroc":
+        made = folder / ".euroc"
+        save_euroc(recording, made, progress)
+        (made / "mav0").replace(folder / "mav0")
+        made.rmdir()
+        return tuple(sorted((folder / "mav0").glob("*/*.*")))
+    streams = {
+        name: replace(stream, frames=partial(_ahead, stream.frames)) for name, stream in recording.streams.items()
+    }
+    save_bag(replace(recording, streams=streams), folder / PLACES[form], form, progress)
+    return (folder / PLACES[form],)
+
+
+def _ahead(frames: Callable[[list[str]], Iterator[Frame]], notes: list[str]) -> Iterator[Frame]:
+    """Yield the frames; a few of the next ones are being decoded meanwhile."""
+    waiting: deque[tuple[Frame, Future[Grey]]] = deque()
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        for frame in frames(notes):
+            waiting.append((frame, pool.submit(frame.decode)))
+            if len(waiting) >= _AHEAD:
+                yield _decoded(*waiting.popleft())
+        for pair in waiting:
+            yield _decoded(*pair)
+
+
+def _decoded(frame: Frame, image: "Future[Grey]") -> Frame:
+    return Frame(t_ns=frame.t_ns, where=frame.where, decode=image.result)
