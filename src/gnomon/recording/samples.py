@@ -18,6 +18,7 @@ from ..errors import OptionError, RecordingError, install_line
 from ..frozen import value_class
 from ..models.noise import ImuNoise
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
+from .order_statistics import median_of
 
 
 def close_gaps(stamps: Sequence[NDArray[np.int64]], longest_ns: int) -> list[NDArray[np.int64]]:
@@ -70,7 +71,7 @@ def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
     ----------
     steps : [`unit_ns`]
     """
-    step = float(np.median(steps))
+    step = float(median_of(steps))
     together = steps[steps < max(_LONGEST_PAUSE_NS / unit_ns, step)]  # what was cut out between poses is no pause
     mean = float(np.mean(together)) if len(together) else step
     return mean if mean > _PACKET_FACTOR * step else step

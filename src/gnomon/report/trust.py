@@ -6,6 +6,7 @@ from math import isfinite
 import numpy as np
 
 from ..recording import Floats
+from ..recording.order_statistics import median_of
 from ..results.calibration import Assessment
 from ..results.camera_diagnostics import (
     CameraImuDiagnostics,
@@ -99,7 +100,7 @@ def _origin(trust: Trust) -> Prose:
     known = [ratio for ratio in trust.ratios if isfinite(ratio.ratio)]
     if not known:
         return Prose((text,))
-    usual = float(np.median([ratio.ratio for ratio in known]))
+    usual = float(median_of([ratio.ratio for ratio in known]))
     text += f" They are {number_text(usual, 2)} times those for independent errors (median of the blocks)"
     wide = sorted((r for r in known if r.ratio > _OPEN), key=lambda r: -r.ratio)[:_SHOWN]
     if not wide:

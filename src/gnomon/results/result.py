@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError
 from ..frozen import value_class
 from ..recording import Floats, Integers, frozen_array
+from ..recording.order_statistics import median_of
 from .calibration import Calibration, calibration_parameters, element_names
 from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from .sensor_diagnostics import ImuDiagnostics, TriadDiagnostics
@@ -80,7 +81,7 @@ def split_long(intervals: StaticIntervals, most: int) -> tuple[StaticIntervals, 
     (m) parts in the order of the intervals, and (m,) which interval each is of
     """
     length = intervals.stop - intervals.start
-    usual = float(np.median(length)) if len(length) else 1.0
+    usual = float(median_of(length)) if len(length) else 1.0
     parts = np.clip(np.round(length / max(usual, 1.0)), 1, most).astype(np.int64)
     whole = np.repeat(np.arange(len(parts)), parts)
     k = np.arange(len(whole)) - np.repeat(np.cumsum(parts) - parts, parts)

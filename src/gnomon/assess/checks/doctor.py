@@ -11,6 +11,7 @@ from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
+from ...recording.order_statistics import median_of, quantile_of
 from ..verdict import merge_by_cause
 from .protocol import check_protocol, find_imu_rests
 from .signals import axis_extremes, check_exchanged, check_signal, check_stamps, check_vibration
@@ -32,7 +33,7 @@ def check_lost_samples(samples: TriadSamples, label: str) -> list[Finding]:
     nothing.
     """
     steps = np.diff(samples.t_ns)
-    if len(steps) < _FEWEST_STEEP or np.ptp(steps) > max(2, 1e-6 * float(np.median(steps))):
+    if len(steps) < _FEWEST_STEEP or np.ptp(steps) > max(2, 1e-6 * float(median_of(steps))):
         return []
     extra = _extra_steps(samples.values)
     doubled, none = (int(np.count_nonzero(np.abs(extra - size) < _NEAR)) for size in (1.0, -1.0))
@@ -60,7 +61,7 @@ def _noise(values: Floats) -> float:
     third = np.diff(values, n=3, axis=0)  # of white noise, 20 times its variance
     count = len(third) // _PIECE
     power = np.square(third[: count * _PIECE]).reshape(count, _PIECE * 3).mean(axis=1)
-    return float(np.sqrt(np.quantile(power, _QUIET) / 20)) if count else 0.0
+    return float(np.sqrt(quantile_of(power, _QUIET) / 20)) if count else 0.0
 
 
 _GRID_S, _WIDTH_S = 0.02, 0.2
@@ -117,7 +118,7 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
 def _coarseness_s(t_ns: Integers) -> float:
     """Return the usual step of a clock between the timestamps that differ [s]."""
     steps = np.diff(t_ns)
-    return float(np.median(steps[steps > 0])) * 1e-9 if (steps > 0).any() else np.inf
+    return float(median_of(steps[steps > 0])) * 1e-9 if (steps > 0).any() else np.inf
 
 
 def _stirred(values: Floats, ends: Integers) -> Floats:
@@ -136,7 +137,7 @@ def _stirred(values: Floats, ends: Integers) -> Floats:
     sums = np.cumsum(rows, axis=1, out=rows)[:, ends]
     means = (sums[:, 2 * _HALF :] - sums[:, : -2 * _HALF]) / np.maximum(ends[2 * _HALF :] - ends[: -2 * _HALF], 1)
     variance = np.maximum(means[3] - np.einsum("in,in->n", means[:3], means[:3]), 0.0)
-    level = np.log(variance + np.quantile(variance, 0.2) + 1e-30)
+    level = np.log(variance + quantile_of(variance, 0.2) + 1e-30)
     level = level - level.mean()
     return level / max(float(level.std()), 1e-12)
 

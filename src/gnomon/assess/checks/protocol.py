@@ -10,6 +10,7 @@ from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.rests import RangeChange, RestDetection, Rests, detect_rests
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
+from ...recording.order_statistics import distinct_values, median_of
 from ...results.result import StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .signals import is_silent
@@ -134,7 +135,7 @@ def _unrest(imu: ImuSamples, rests: StaticIntervals) -> float:
     0.05 s as in a second; the slow sway of a motion does not. Both triads are looked at (geometric mean).
     """
     ratios: list[float] = []
-    chosen = np.unique(np.linspace(0, len(rests) - 1, min(len(rests), _LOOKED_AT)).astype(np.int64))
+    chosen = distinct_values(np.linspace(0, len(rests) - 1, min(len(rests), _LOOKED_AT)).astype(np.int64))
     edges = imu.accelerometer.t_ns[rests.start[chosen]], imu.accelerometer.t_ns[rests.stop[chosen] - 1]
     for samples in (imu.accelerometer, imu.gyroscope):
         if len(samples) < 2:
@@ -143,7 +144,7 @@ def _unrest(imu: ImuSamples, rests: StaticIntervals) -> float:
         first, last = np.searchsorted(samples.t_ns, edges[0]), np.searchsorted(samples.t_ns, edges[1])
         found = [_wander(samples.values[a:b], lag) for a, b in zip(first, last, strict=True) if b - a > 4 * lag]
         if found:
-            ratios.append(float(np.median(found)))
+            ratios.append(float(median_of(found)))
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 1.0
 
 
@@ -223,7 +224,7 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
             return []
         message = f"{label}: gravity is about {radius:.4g} counts."
         return [make_finding("gravity-magnitude/counts", message=message)]
-    found = float(np.median(np.linalg.norm(means, axis=1))) * factor
+    found = float(median_of(np.linalg.norm(means, axis=1))) * factor
     error = abs(found / STANDARD_GRAVITY_M_S2 - 1)
     message = f"{label}: the accelerometer reads {found:.3f} m/s^2 at rest, expected about 9.81." + looks_like(
         found / factor, accelerometer.unit

@@ -7,6 +7,7 @@ from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array
+from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
 _GAP_PERIODS = 1.5
@@ -42,7 +43,7 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
         return _backward(samples, dt, label)
     if not np.isfinite(period):
         return [make_finding("time-constant", label=label, samples=len(samples))]
-    spread = 1.4826 * float(np.median(np.abs(dt - period)))
+    spread = 1.4826 * float(median_of(np.abs(dt - period)))
     steps = _Steps(dt=dt, period=period, spread=spread)
     gaps = _gaps(samples, steps, label)
     irregular = [finding for finding in gaps if finding.code in {"jitter", "rate-changed"}]
@@ -159,7 +160,7 @@ def _rate_change(steps: _Steps) -> tuple[int, tuple[float, float]] | None:
     sides = steps.dt[:k], steps.dt[k:]
     if min(len(side) for side in sides) < _BLOCK:
         return None
-    before, after = (float(np.median(side)) for side in sides)
+    before, after = (float(median_of(side)) for side in sides)
     for side, period in zip(sides, (before, after), strict=True):
         if np.mean(np.abs(side - period) > _JITTER * period) > _LOST_SHARE:
             return None
@@ -169,7 +170,7 @@ def _rate_change(steps: _Steps) -> tuple[int, tuple[float, float]] | None:
 def _rounded(steps: _Steps, label: str) -> list[Finding]:
     """Find the step of the clock; text often keeps few digits of late timestamps, so blocks are looked at apart."""
     starts = np.linspace(0, max(0, len(steps.dt) - _BLOCK), 8).astype(np.int64)
-    blocks = [np.unique(steps.dt[a : a + _BLOCK]) for a in starts]
+    blocks = [distinct_values(steps.dt[a : a + _BLOCK]) for a in starts]
     # Steps that are all equal say nothing about the clock.
     quantum = max((int(np.gcd.reduce(block)) for block in blocks if len(block) > 1), default=0)
     steps_of_clock = steps.period / max(quantum, 1)
@@ -225,10 +226,10 @@ def _line(samples: TriadSamples, units: dict[str, float | None], least: float) -
     top = int(fast[np.argmax(density[fast])])
     around = density[np.r_[max(top - _AROUND, fast[0]) : top - 2, top + 3 : min(top + _AROUND, fast[-1])]]
     power = float(density[max(top - 2, 0) : top + 3].sum() * (hz[1] - hz[0]))
-    usual = float(np.median(density[fast]))
+    usual = float(median_of(density[fast]))
     white = np.sqrt(usual * rate / 2)
     loud = np.sqrt(power) > max(least, _LOUD * white)
-    if not loud or density[top] < _ABOVE * float(np.median(around)):
+    if not loud or density[top] < _ABOVE * float(median_of(around)):
         return None
     return float(hz[top]), float(np.sqrt(power))
 
@@ -242,7 +243,7 @@ def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
     cut = values[: parts * size].reshape(parts, size, 3)
     window = np.hanning(size)[:, None]
     power = np.abs(np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
-    density = 2 * np.median(power, axis=0).sum(axis=1) / (rate_hz * float((window**2).sum()))
+    density = 2 * median_of(power, axis=0).sum(axis=1) / (rate_hz * float((window**2).sum()))
     return np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64), np.asarray(density, dtype=np.float64)
 
 
@@ -316,8 +317,8 @@ def check_turns(samples: TriadSamples, label: str) -> list[Finding]:
         n = period * count
         off = values[:n] - sum(values[k : k + n] for k in range(period)) / period
         each = np.ascontiguousarray(off.reshape(count, period, 3).transpose(1, 2, 0))
-        usual = np.median(each, axis=2)
-        spread = _MAD * np.median(np.abs(each - usual[:, :, None]), axis=2).max(axis=0)
+        usual = median_of(each, axis=2)
+        spread = _MAD * median_of(np.abs(each - usual[:, :, None]), axis=2).max(axis=0)
         size = np.ptp(usual, axis=0)
         if (size > _TURNS * spread).any():
             size_of_worst = float(size[np.argmax(size - _TURNS * spread)])
@@ -466,7 +467,7 @@ def _unevenness(values: Floats) -> tuple[float, float, float]:
     size = len(values) // count
     means = values[: size * count].reshape(count, size, 3).mean(axis=1)
     lengths = np.linalg.norm(means, axis=1, keepdims=True)
-    low, middle, high = np.quantile(lengths, [0.1, 0.5, 0.9])
+    low, middle, high = quantile_of(lengths, [0.1, 0.5, 0.9])
     direction = means / np.maximum(lengths, 1e-300)
     off, spread = means - means.mean(axis=0), means.std(axis=0)
     kurtosis = float(np.mean((off / np.where(spread > 0, spread, np.inf)) ** 4))
@@ -559,7 +560,7 @@ def _stuck_axis(samples: TriadSamples, label: str) -> list[Finding]:
 def is_silent(samples: TriadSamples) -> bool:
     """Tell whether a gyroscope shows nothing but noise."""
     noise = _noise(samples.values)
-    middle = np.median(samples.values[:: max(1, len(samples) // _NOISE_SAMPLES)], axis=0)
+    middle = median_of(samples.values[:: max(1, len(samples) // _NOISE_SAMPLES)], axis=0)
     low, high = axis_extremes(samples.values)
     peak = np.maximum(high - middle, middle - low)
     return bool((peak <= _SILENT * noise).all())

@@ -12,6 +12,7 @@ from ...estimate.multiposition.triad_changes import least_turn_seen
 from ...estimate.trust.changes import estimates_are_judged
 from ...findings import Finding, make_finding
 from ...recording import Floats
+from ...recording.order_statistics import median_of
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
@@ -52,7 +53,7 @@ def touched_findings(evidence: ImuFitSummary) -> list[Finding]:
             length[k] = rest_stop[rest] - rest_start[rest]
             share[k] = (stop[k] - start[k]) / max(length[k], 1e-9)
     touched = (share < _TOUCHED) & (length > _REST_S)
-    if not touched.any() or np.median(share) < _WHOLE or touched.mean() > _MOST_TOUCHED:
+    if not touched.any() or median_of(share) < _WHOLE or touched.mean() > _MOST_TOUCHED:
         return []
     worst = int(np.argmin(np.where(touched, share, np.inf)))
     several = int(touched.sum()) > 1
@@ -79,7 +80,7 @@ def rotation_scatter(evidence: ImuFitSummary) -> list[Finding]:
     fit = evidence.fit
     if not fit.rotation_used.any():
         return []
-    noise = float(np.sqrt(np.median(rotation_variance(fit.data, fit.state)[fit.rotation_used])))
+    noise = float(np.sqrt(median_of(rotation_variance(fit.data, fit.state)[fit.rotation_used])))
     extra = float(np.sqrt(fit.extra.rotation))
     if extra <= _BEYOND_NOISE * noise:
         return []
@@ -235,7 +236,7 @@ def most_useful_attitude(evidence: ImuFitSummary) -> str:
     rows[:, 6:] = -pull
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     gain = np.sum((rows @ covariance / scale) ** 2, axis=1) / (
-        np.einsum("ij,jk,ik->i", rows, covariance, rows) + np.median(np.diag(covariance))
+        np.einsum("ij,jk,ik->i", rows, covariance, rows) + median_of(np.diag(covariance))
     )
     return f"Add static intervals with {attitude_words(ATTITUDES[np.argmax(gain)])}."
 
@@ -381,7 +382,7 @@ def unit_findings(triad: Literal["accelerometer", "gyroscope"], sensitivity: Flo
     table = ACCELEROMETER_UNITS_M_S2 if triad == "accelerometer" else GYROSCOPE_UNITS_RAD_S
     nominal = table.get(unit)
     scales = np.linalg.norm(sensitivity, axis=1)
-    usual = float(np.median(scales))
+    usual = float(median_of(scales))
     odd = int(np.argmax(np.abs(np.log(scales / usual))))
     if not 1 / _UNIT_FACTOR < scales[odd] / usual < _UNIT_FACTOR:
         return [make_finding("unit/axis", triad=triad, axis="xyz"[odd], ratio=scales[odd] / usual)]

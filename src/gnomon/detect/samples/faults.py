@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array, smallest_steps
+from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.result import Booleans
 
 _RARE = 0.01
@@ -162,7 +163,7 @@ def _off_the_line(values: Floats) -> Booleans:
 def _usual(sizes: Floats) -> float:
     """Return the median of sizes (n,), at least the smallest that is not zero; inf where there is none."""
     sizes = sizes[:: max(1, len(sizes) // _SAMPLES)]
-    return float(np.median(sizes)) or float(np.min(sizes, initial=np.inf, where=sizes > 0))
+    return float(median_of(sizes)) or float(np.min(sizes, initial=np.inf, where=sizes > 0))
 
 
 def without_readings(values: Floats, at: Integers) -> Floats:
@@ -203,7 +204,7 @@ def on_lines(values: Floats) -> Booleans:
     rows = inner[2:]
     for column in np.ascontiguousarray(values.T):
         bend = np.abs(column[2:] - 2 * column[1:-1] + column[:-2])
-        least = _STRAIGHT * float(np.median(bend[:: len(bend) // _LOOKED_AT + 1]))
+        least = _STRAIGHT * float(median_of(bend[:: len(bend) // _LOOKED_AT + 1]))
         inner = inner & (bend <= least) & (np.abs(column[2:] - column[:-2]) > _LEVEL * least)
         rows = inner[2:] & inner[1:-1] & inner[:-2]
         if not rows.any():
@@ -261,9 +262,9 @@ def saturated_samples(samples: TriadSamples, full_scale: float | None = None) ->
 def _flat_tops(samples: Floats) -> Booleans:
     marked = np.zeros(len(samples), bool)
     for values in np.ascontiguousarray(samples.T) if len(samples) >= 4 else ():
-        noise, median = _noise_and_median(values)
+        noise, middle = _noise_and_median(values)
         for extreme in (values.max(), values.min()):
-            near = float(abs(extreme - median))
+            near = float(abs(extreme - middle))
             if near > _FAR * noise and _is_flat_top(values, float(extreme), noise):
                 marked |= values == extreme
     marked.flags.writeable = False
@@ -274,11 +275,11 @@ def _noise_and_median(values: Floats) -> tuple[float, float]:
     """Return the level of sample-to-sample changes, at least one quantum, and the median; of part of a long signal."""
     stride = max(1, len(values) // _NOISE_SAMPLES)
     steps = np.abs(values[1::stride] - values[:-1:stride])
-    noise = float(np.median(steps))
+    noise = float(median_of(steps))
     if noise == 0:
         moving = steps[steps > 0]
         noise = float(moving.min()) if moving.size else 0.0
-    return noise, float(np.median(values[::stride]))
+    return noise, float(median_of(values[::stride]))
 
 
 def _is_flat_top(values: Floats, extreme: float, noise: float) -> bool:
@@ -290,7 +291,7 @@ def _is_flat_top(values: Floats, extreme: float, noise: float) -> bool:
         return False
     below = values[(np.abs(values - extreme) <= _BAND * noise) & ~at]
     # Where no other value occurs twice, as in floating point numbers in motion, repeated extremes are no chance.
-    fine = len(below) >= _ENOUGH and len(np.unique(below)) > _DISTINCT * len(below)
+    fine = len(below) >= _ENOUGH and len(distinct_values(below)) > _DISTINCT * len(below)
     return count > 2 * len(below) or (fine and count >= _TIES)
 
 
@@ -397,7 +398,7 @@ def _coarseness(values: Floats) -> Floats:
     stride = max(1, len(values) // _CHANGES_LOOKED_AT)
     steps = np.abs(values[1::stride] - values[:-1:stride])
     changes = [column[column != 0] for column in steps.T]
-    return np.array([np.quantile(change, _SMALL) / 2 if len(change) else _SAME for change in changes])
+    return np.array([quantile_of(change, _SMALL) / 2 if len(change) else _SAME for change in changes])
 
 
 def _in_steps(values: Floats, step: Floats) -> Floats:

@@ -20,6 +20,7 @@ from ...estimate.trust.changes import estimates_are_judged
 from ...frozen import value_class
 from ...progress import tell_parts
 from ...recording import Floats, Integers, TriadSamples
+from ...recording.order_statistics import median_of, quantile_of
 from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2
 from .stillness import RateMarks, mark_rates, static_statistic, window_samples
@@ -126,9 +127,9 @@ class RestStatistics:
             still = still[np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)]
         marks = mark_rates(gyroscope, still)
         at_rest = np.flatnonzero(still) if still.any() else np.arange(len(gyroscope))
-        rest = np.median(gyroscope.values[at_rest[:: max(1, len(at_rest) // _LOOKED_AT)]], axis=0)
+        rest = median_of(gyroscope.values[at_rest[:: max(1, len(at_rest) // _LOOKED_AT)]], axis=0)
         size = np.abs(gyroscope.values.T - rest[:, None], order="C").max(axis=0)  # along columns all is fast
-        fastest = float(np.quantile(size, 0.995))
+        fastest = float(quantile_of(size, 0.995))
         turned = size / fastest if fastest > 0 else np.zeros(len(size))
         unseen = None
         if not np.array_equal(t_accel, t_gyro):
@@ -346,7 +347,7 @@ def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
         return np.zeros(len(pieces), dtype=np.int64)
     means = interval_means(motion.samples.values, pieces)
     half = 0.5 * np.ptp(means, axis=0)
-    turned = np.linalg.norm(half) > _ONE_ATTITUDE * np.median(np.linalg.norm(means, axis=1))
+    turned = np.linalg.norm(half) > _ONE_ATTITUDE * median_of(np.linalg.norm(means, axis=1))
     other = turned & np.any(np.abs(np.diff(means, axis=0)) > _SAME_ATTITUDE * half, axis=1)
     if motion.turned is not None:
         for k in np.flatnonzero(~other):
@@ -415,7 +416,7 @@ def _with_unused(rests: Rests, loudest: Rests, change: RangeChange | None) -> Re
         return rests
     inside = change.kept if change is not None else (0, np.inf)
     other = (loudest.kept.start < inside[0]) | (loudest.kept.stop > inside[1])
-    length = np.median(rests.found.stop - rests.found.start)
+    length = median_of(rests.found.stop - rests.found.start)
     begins = np.searchsorted(rests.found.stop, loudest.kept.start, side="right")
     ends = np.searchsorted(rests.found.start, loudest.kept.stop)
     apart = begins >= ends
@@ -469,11 +470,11 @@ def find_range_change(
     logs = np.log(read)
     away = np.cumsum(logs - logs.mean())[_FEWEST - 1 : -_FEWEST]
     k = int(np.argmax(np.abs(away))) + _FEWEST
-    before, after = float(np.median(read[:k])), float(np.median(read[k:]))
+    before, after = float(median_of(read[:k])), float(median_of(read[k:]))
     sides = (read[:k], before), (read[k:], after)
     alike = all(float(np.mean(np.abs(side / middle - 1) > _ALIKE)) <= _FEW_ODD for side, middle in sides)
     low, high = (side for side, _ in sorted(sides, key=lambda side: side[1]))
-    apart = np.quantile(low, 1 - _FEW_ODD) < np.quantile(high, _FEW_ODD)
+    apart = quantile_of(low, 1 - _FEW_ODD) < quantile_of(high, _FEW_ODD)
     if not (alike and apart) or max(before, after) < _FACTOR * min(before, after):
         return None
     last, first = int(parts.stop[k - 1]) - 1, int(parts.start[k])

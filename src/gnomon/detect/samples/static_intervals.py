@@ -16,6 +16,7 @@ from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_ch
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, smallest_steps
+from ...recording.order_statistics import median_of
 from ...results.result import Booleans, StaticIntervals
 from .rests import FEWEST_INTERVALS, ThresholdTrial
 
@@ -199,13 +200,13 @@ def disturbed_intervals(
 
     nothing = np.zeros(len(weight), dtype=bool)
     size = left_out(weight)
-    if not stand_out(size, float(np.median(size)), _SUSPICIOUS_SIGMA).any():
+    if not stand_out(size, float(median_of(size)), _SUSPICIOUS_SIGMA).any():
         return nothing
     for _ in range(_REWEIGHTINGS):
         size = left_out(1 / np.sqrt(np.maximum(size, white)))
-    agree = ~stand_out(size, 2 * float(np.median(size)), _OUTLIER_SIGMA)
+    agree = ~stand_out(size, 2 * float(median_of(size)), _OUTLIER_SIGMA)
     size = left_out(np.where(agree, weight, _NO_WEIGHT))
-    out = stand_out(size, float(np.median(size[agree])), _OUTLIER_SIGMA)
+    out = stand_out(size, float(median_of(size[agree])), _OUTLIER_SIGMA)
     keeps_enough = (~out).sum() >= max(FEWEST_INTERVALS + 1, 0.6 * len(out))
     return out if keeps_enough else nothing
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
+from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.result import Booleans
 
 _CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
@@ -101,7 +102,7 @@ def resting_variances(variances: Floats, values: Floats, window: int) -> Floats:
     values : (n, 3) [unit]
     window : samples in a window
     """
-    quiet = np.quantile(variances[window // 2 :: window], 0.1, axis=0)
+    quiet = quantile_of(variances[window // 2 :: window], 0.1, axis=0)
     return np.maximum(np.maximum(quiet, quantisation_step(values) ** 2 / 12), np.finfo(float).tiny)
 
 
@@ -183,12 +184,12 @@ def mark_rates(gyroscope: TriadSamples, still: Booleans) -> RateMarks:
     jumps, first, last = _jumps(means, edges[::2], edges[1::2])
     level = _levels(means, first, last)
     away = np.abs(means - level)
-    usual, median = np.quantile(away[resting], [0.9, 0.5], axis=0)
+    usual, middle = quantile_of(away[resting], [0.9, 0.5], axis=0)
     tremor = _of_nearest(_medians(away, first, last), first, last, blocks)
-    fastest = float(np.quantile(away[~resting].max(axis=1), 0.98)) if not resting.all() else 0.0
+    fastest = float(quantile_of(away[~resting].max(axis=1), 0.98)) if not resting.all() else 0.0
     apart = _apart(means, first, last, _TURNING * usual, fastest)
-    turns, stirs = _beyond(away, usual, median, apart | jumps)
-    own = np.clip(_PERCENTILE * tremor, usual, _TREMOR * usual), np.clip(tremor, median, _TREMOR * median)
+    turns, stirs = _beyond(away, usual, middle, apart | jumps)
+    own = np.clip(_PERCENTILE * tremor, usual, _TREMOR * usual), np.clip(tremor, middle, _TREMOR * middle)
     turns_own, stirs_own = _beyond(away, *own, apart | jumps)
     found = RateMarks(
         turns=turns,
@@ -201,20 +202,20 @@ def mark_rates(gyroscope: TriadSamples, still: Booleans) -> RateMarks:
     return found.at(np.minimum(np.arange(n) // length, blocks - 1))
 
 
-def _beyond(away: Floats, usual: Floats, median: Floats, surely: Booleans) -> tuple[Booleans, Booleans]:
+def _beyond(away: Floats, usual: Floats, middle: Floats, surely: Booleans) -> tuple[Booleans, Booleans]:
     """Mark blocks (k,) that turn, with those beside them, and blocks that stir.
 
     Parameters
     ----------
     away : (k, 3) distance from the rate at rest
-    usual, median : (3,) or (k, 3) ninetieth percentile and median of that at rest
+    usual, middle : (3,) or (k, 3) ninetieth percentile and median of that at rest
     surely : (k,) blocks that turn anyway
     """
     turns = np.any(away > _TURNING * usual, axis=1)
     wide = turns | surely
     wide[1:] |= turns[:-1]
     wide[:-1] |= turns[1:]
-    return wide, wide | np.any(away > _STIRRING * median, axis=1)
+    return wide, wide | np.any(away > _STIRRING * middle, axis=1)
 
 
 def _inside(first: Integers, last: Integers) -> Integers:
@@ -276,11 +277,11 @@ def _apart(means: Floats, first: Integers, last: Integers, limit: Floats, fastes
         return marked
     levels = _medians(means, first[told], last[told])
     changes = np.abs(np.diff(levels, axis=0))
-    scale = np.maximum(limit, _ALIKE * 1.4826 * np.median(changes, axis=0))
+    scale = np.maximum(limit, _ALIKE * 1.4826 * median_of(changes, axis=0))
     scale = np.where(scale > 0, scale, max(np.finfo(float).eps * float(np.abs(levels).max()), 1e-100))
-    middle = np.median(levels, axis=0)
+    middle = median_of(levels, axis=0)
     off = np.abs(levels - middle).max(axis=1)
-    most = max(_FAST * fastest, _SPREAD * float(np.median(off))) if fastest > _MOTION * limit.max() else np.inf
+    most = max(_FAST * fastest, _SPREAD * float(median_of(off))) if fastest > _MOTION * limit.max() else np.inf
     nearest = np.full(len(told), np.inf)
     for apart in (1, 2):
         away = np.max(np.abs(levels[apart:] - levels[:-apart]) / scale, axis=1)
@@ -317,11 +318,11 @@ def _jumps(means: Floats, first: Integers, last: Integers) -> tuple[Booleans, In
     noise[first[long]] = 1.4826 * _medians(np.abs(np.diff(means, axis=0)), first[long], last[long] - 1) / np.sqrt(2)
     sigma = noise[start] * np.sqrt(1 / before + 1 / after)
     size = np.abs(step) / np.where(sigma > 0, sigma, np.inf)
-    for a in np.unique(start[size.max(axis=1) > _JUMP_SIGMA]):
+    for a in distinct_values(start[size.max(axis=1) > _JUMP_SIGMA]):
         own = np.flatnonzero(start == a)
         k, axis = np.unravel_index(np.argmax(size[own]), (len(own), 3))
         at, end = int(places[own[k]]), int(stop[own[k]])
-        whole = np.median(means[at:end, axis]) - np.median(means[a:at, axis])
+        whole = median_of(means[at:end, axis]) - median_of(means[a:at, axis])
         if whole / step[own[k], axis] > _KEPT:
             cuts.append(at)
             marked[at - 1 : at + 1] = True

@@ -17,6 +17,7 @@ import numpy as np
 from ...errors import InitialisationError
 from ...frozen import value_class
 from ...recording import Floats, Integers
+from ...recording.order_statistics import median_of
 from .measurements import fit_magnitude
 
 _MARGIN = 5.0  # of log-likelihood beyond the length of the description: one false alarm in some hundred recordings
@@ -371,7 +372,7 @@ def _whitened(rests: RestMeans, series: _Series) -> list[_Whitened]:
     The parts of one rest have its scatter in common.
     """
     (n, d), t_s = series.pull.shape, rests.t_s
-    typical = np.median(series.variance, axis=0)
+    typical = median_of(series.variance, axis=0)
     white = np.mean(series.variance / typical, axis=1)
     since = (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9)
     walk = np.minimum(since[:, None], since) * (series.pull @ series.pull.T) / np.mean(series.pull**2) / d

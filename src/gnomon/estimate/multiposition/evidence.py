@@ -29,6 +29,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, tangent_basis
 from ...recording import Floats, Integers
+from ...recording.order_statistics import distinct_values
 from ...results.result import Booleans
 from ...results.trust import BlockChange, ModelStep
 from ...solve.least_squares import ArrowSolution, reduced_normal_equations, solve_arrow
@@ -56,7 +57,7 @@ from .noise_levels import interval_rows, rotation_rows, rotation_variance, white
 _RUNS = (5, 4), (3, 3)  # rotations that follow each other, and how many of them
 
 _SCALES = np.array([S_.start, S_.start + 2, S_.start + 5, CG_.start, CG_.start + 4, CG_.start + 8])
-_ANGLES = np.setdiff1d(np.r_[S_, CG_], _SCALES)
+_ANGLES = np.array([column for column in np.r_[S_, CG_] if column not in _SCALES])
 _OFFSETS = np.r_[B_, BG_]
 
 _MOST_PLACES = 40
@@ -335,7 +336,7 @@ def alternative_models(fit: MultiPositionFit, triad: str, lines: MultiPositionLi
         start, cost = np.zeros(len(theta)), price
         if out is not None:
             start[out], cost = -theta[out], np.zeros(len(price))
-            found = [_solved(level, np.setdiff1d(estimated, out), new, start) for level in levels]
+            found = [_solved(level, estimated[~np.isin(estimated, out)], new, start) for level in levels]
         likelihood = np.array([of_level for _, of_level, _ in found])
         best = np.argmax(likelihood, axis=0), np.arange(len(new))
         moves.append(np.array([x for x, _, _ in found])[best])
@@ -350,7 +351,7 @@ def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Float
     """
     data, n = fit.data, len(fit.data.interval_s)
     changes = fit.changes[triad == "accelerometer"]
-    at = np.unique(np.linspace(1, n - 1, min(n - 1, _MOST_PLACES)).round())
+    at = distinct_values(np.linspace(1, n - 1, min(n - 1, _MOST_PLACES)).round())
     at = at[~np.isin(at, changes.steps)]
     tau = np.append(
         np.array(DECAYS) * (data.span_s[1] - data.span_s[0]),

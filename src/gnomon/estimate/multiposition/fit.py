@@ -14,6 +14,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
+from ...recording.order_statistics import median_of
 from ...results.result import Booleans
 from ...solve.least_squares import ArrowSolution, solve_arrow
 from ...units import STANDARD_GRAVITY_M_S2
@@ -340,7 +341,7 @@ def start_state(data: MultiPositionData) -> MultiPositionState:
     sensitivity = sensitivity @ frame_rotation(sensitivity, "accel-x").T
     correction = invert_matrix(sensitivity)
     u = (data.accelerometer - fit.bias) @ correction.T
-    still = np.median(data.gyroscope, axis=0)
+    still = median_of(data.gyroscope, axis=0)
     force = (data.segments.accelerometer - fit.bias) @ correction.T
     norm = np.linalg.norm(force, axis=1, keepdims=True)
     moving = replace(data.segments, gyroscope=data.segments.gyroscope - still)
@@ -453,7 +454,7 @@ def _irls(task: FitProblem, point: Iterate) -> MultiPositionLinearization:
     lines, given = point.lines, point.whitening.rotation
     for _ in range(_REWEIGHTINGS):
         size = given * np.linalg.norm(lines.rotation, axis=1)
-        usual = float(np.median(size[given > 0])) if (given > 0).any() else 0.0
+        usual = float(median_of(size[given > 0])) if (given > 0).any() else 0.0
         if size.max(initial=0.0) <= _SUSPICIOUS * usual:
             break
         weight = given / np.sqrt(np.maximum(size / max(usual, 1e-9), 1.0))

@@ -17,6 +17,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
+from ...recording.order_statistics import median_of
 from ...results.result import Booleans
 from ...solve.least_squares import ArrowSolution
 from .measurements import MotionSegments, integrate_rates
@@ -237,8 +238,8 @@ def _robust_variance(squares: Floats, gains: Floats, dof: float) -> float:
         return 0.0
     degrees = dof / len(squares)
     expected = degrees * max(1 - 2 / (9 * degrees), 0.1) ** 3  # Wilson and Hilferty
-    excess = float(np.median(np.sum(squares, axis=1))) / expected - 1
-    return max(excess, 0.0) / float(np.median(gains))
+    excess = float(median_of(np.sum(squares, axis=1))) / expected - 1
+    return max(excess, 0.0) / float(median_of(gains))
 
 
 def _matching_variance(squares: Floats, gains: Floats, dof: float) -> float:

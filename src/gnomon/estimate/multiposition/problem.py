@@ -10,6 +10,7 @@ import numpy as np
 from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers, frozen_array
+from ...recording.order_statistics import median_of
 from ...results.result import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
 from .measurements import MotionSegments, cut_segments, segments_between
@@ -129,7 +130,7 @@ def build_problem(
     first, lengths = segments_between(gyroscope.t_s, start_s, stop_s)
     segments = _segments(accelerometer, gyroscope, first, lengths)
     scale_a = Scaling.of(means_a.mean(axis=0), means_a - means_a.mean(axis=0))
-    rest = np.median(means_g, axis=0)
+    rest = median_of(means_g, axis=0)
     scale_g = Scaling.of(rest, segments.gyroscope - rest)
     unlinked = tuple(
         why_unlinked(gyroscope.t_s, gyroscope.saturated, gyroscope.rate_hz, slice(int(a), int(a + n)))

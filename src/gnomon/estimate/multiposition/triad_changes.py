@@ -32,6 +32,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats, Integers
+from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from ...solve.least_squares import reduced_normal_equations
@@ -163,7 +164,7 @@ def find_axes_change(problem: MultiPositionProblem) -> AxesChange | None:
         return None
     linked = np.array([not why for why in problem.unlinked], dtype=bool)
     own = factors[usual][alike[usual]]
-    rough = usual, float(np.median(own))
+    rough = usual, float(median_of(own))
     predicted = turns.predicted(*rough)
     if (np.sum(predicted * turns.u[1:], axis=1) < _NEAR).any():
         predicted = turns.predicted(usual, _refined(turns, rough, slice(None)))
@@ -178,8 +179,8 @@ def find_axes_change(problem: MultiPositionProblem) -> AxesChange | None:
         return AxesChange(row=row, triad="accelerometer", after=-np.eye(3))
     if len(off) < _FEWEST:
         return None
-    ways = [(way, float(np.median(factors[way][alike[way]]))) for way in range(len(_SIGNED)) if alike[way].any()]
-    ways += [(usual, factor) for factor in np.quantile(own, np.linspace(0, 1, _FACTORS)).tolist()]
+    ways = [(way, float(median_of(factors[way][alike[way]]))) for way in range(len(_SIGNED)) if alike[way].any()]
+    ways += [(usual, factor) for factor in quantile_of(own, np.linspace(0, 1, _FACTORS)).tolist()]
     return _change_between(turns, ways, linked)
 
 
@@ -277,7 +278,7 @@ def change_by_one_cause(fit: MultiPositionFit, sensitivities: tuple[Floats, Floa
     first, last = _FEWEST_BESIDE + 1, len(fit.state.u) - 1 - _FEWEST_BESIDE
     if last < first:
         return None
-    places = np.unique(np.linspace(first, last, min(last - first + 1, _MOST_PLACES)).round().astype(int))
+    places = distinct_values(np.linspace(first, last, min(last - first + 1, _MOST_PLACES)).round().astype(int))
     causes, weights = _causes(fit, places, sensitivities), _Weights.of(fit, with_runs(fit))
     tried = [one for cause in causes for one in _tried(fit, weights, cause, places)]
     found = min(tried, key=lambda one: one.chance)

@@ -33,6 +33,7 @@ import numpy as np
 from ...findings import Finding
 from ...frozen import value_class
 from ...recording import Floats, Integers
+from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.calibration import Calibration
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
@@ -296,7 +297,7 @@ class _Scan:
             own + own.mean(axis=0) + _LOOSE * np.eye(q), (self.sums.pull @ block.directions)[..., None]
         )
         along = told[:, :, 0] @ np.linalg.svd(told[:, :, 0], full_matrices=False)[2][0]
-        found = [self._sorted_from(block, along > np.quantile(along, level)) for level in _SORTED_FROM]
+        found = [self._sorted_from(block, along > quantile_of(along, level)) for level in _SORTED_FROM]
         second = max(found, key=lambda one: one[1])[0]
         if not _FEWEST_IN_PART <= second.sum() <= n - _FEWEST_IN_PART:
             return None
@@ -372,8 +373,8 @@ def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]
     Of hundreds of such (the points of a board) a change asks for few combinations: those in which the whole recording
     and its first half move them where the others are moved.
     """
-    free = np.flatnonzero((jacobian != 0).any(axis=0))
-    held = np.setdiff1d(np.arange(jacobian.shape[1]), free)
+    shown = (jacobian != 0).any(axis=0)
+    free, held = np.flatnonzero(shown), np.flatnonzero(~shown)
     if len(held) <= 2 * len(free):
         return sums, jacobian
     scale, half = np.outer(_size(sums), _size(sums)), len(sums) // 2
@@ -456,7 +457,7 @@ def _blocks(
 def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:
     """Return ways in which something may change: at once, for a while, in every other stretch, steadily."""
     n, k = len(t_s), np.arange(len(t_s))
-    borders = np.unique(np.linspace(_FEWEST_IN_PART, n - _FEWEST_IN_PART, _MOST_BORDERS).astype(int))
+    borders = distinct_values(np.linspace(_FEWEST_IN_PART, n - _FEWEST_IN_PART, _MOST_BORDERS).astype(int))
     courses = [[_at(t_s, int(place)) for place in borders]]
     low, high = n // 4, n - n // 4
     if high - low >= _FEWEST_IN_PART:
@@ -658,6 +659,6 @@ def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Flo
     share = of_one / (of_one + _POOLED_COUNTS)
     known = 1 / (share**2 / of_one + (1 - share**2) / freedom)
     certain = pooled * (1 - _CERTAIN * np.sqrt(2 / freedom)) - 1 if lasting else 0.0
-    halves = len(cluster) / 2 / float(np.median(np.bincount(cluster)))  # clusters in half of the recording
+    halves = len(cluster) / 2 / float(median_of(np.bincount(cluster)))  # clusters in half of the recording
     longer = 1 + max(certain, 0.0) / pooled * max(halves - 1, 0.0)
     return longer * (share * own + (1 - share) * pooled * np.eye(rank)), known

@@ -24,12 +24,14 @@ their sum would exceed what is needed by chance alone, and the more blocks are t
 from collections.abc import Sequence
 from dataclasses import field, replace
 from functools import lru_cache
+from random import Random
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
+from ...recording.order_statistics import distinct_values, quantile_of
 
 _NEARLY = 1e-12  # of the information, where there is none at all
 
@@ -130,7 +132,7 @@ def part_estimates(sums: ClusterSums, part: Integers) -> tuple[Floats, Floats]:
     sums : of clusters
     part : (c,) number of the part that a cluster belongs to; negative for none
     """
-    belongs = (part == np.unique(part[part >= 0])[:, None]).astype(np.float64)
+    belongs = (part == distinct_values(part[part >= 0])[:, None]).astype(np.float64)
     information = np.tensordot(belongs, sums.information, 1) + sums.prior_information
     return _solved(information, belongs @ sums.pull + sums.prior_pull), _inverse(information)
 
@@ -301,7 +303,7 @@ def correlation_time(moves: Floats, block: Integers) -> int:
     size = np.linalg.norm(moves, axis=0)
     moves = moves / np.where(size > 0, size, 1.0)
     longest = 0
-    for number in np.unique(block):
+    for number in distinct_values(block):
         own = moves[:, (block == number) & (size > 0)]
         least = max(_CORRELATED[0], _CORRELATED[1] / np.sqrt(max(own.size, 1)))
         for lag in range(1, min(_MOST_MEMORY, len(own) - 2) + 1):
@@ -414,10 +416,10 @@ def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candid
 
 
 @lru_cache(4)  # some MB each
-def _random_signs(count: int) -> NDArray[np.int8]:
+def _random_signs(count: int) -> NDArray[np.uint8]:
     """Return signs (draws, count), 0 or 1, the same ones always."""
-    rng = np.random.default_rng(0)
-    return np.concatenate([rng.integers(0, 2, (_TOGETHER, count)).astype(np.int8) for _ in range(_DRAWS // _TOGETHER)])
+    drawn = np.frombuffer(Random(0).randbytes(_DRAWS * count // 8), np.uint8)  # NumPy's generators take time to load
+    return np.unpackbits(drawn).reshape(_DRAWS, count)
 
 
 class _Bench:
@@ -458,7 +460,7 @@ class _Bench:
         count = self._signs.shape[1]
         own = np.add.reduceat(gains, np.arange(count) * len(gains) // count) if len(gains) else gains
         sums = [self._signs[k : k + _TOGETHER] @ own for k in range(0, _DRAWS, _TOGETHER)]
-        return float(np.quantile(2 * np.concatenate(sums) - own.sum(), self._level))
+        return float(quantile_of(2 * np.concatenate(sums) - own.sum(), self._level))
 
     def _pulls(self, candidate: CandidateBlock, kept: Sequence[CandidateBlock], without: "_Model") -> Floats:
         """Return how clusters (c,) pull a candidate's columns from a model without it, whose own columns follow."""

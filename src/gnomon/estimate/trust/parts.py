@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
+from ...recording.order_statistics import median_of
 from ...results.result import Booleans
 from ...results.trust import BlockAgreement, Clusters, ParameterChange, SigmaRatio, Splits, Trust
 from .changes import estimates_are_judged, parameter_changes
@@ -168,7 +169,7 @@ def robust_covariance(
         covariance = found.covariance + _from_outside(ordinary - found.from_errors - found.from_prior)
     biased = np.array([path in biases for path in paths], dtype=bool)
     comparison = PartComparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
-    spacing = float(np.median(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
+    spacing = float(median_of(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
     return RobustCovariance(
         covariance=covariance,
         trust=Trust(

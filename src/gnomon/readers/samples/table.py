@@ -12,6 +12,7 @@ from ...findings import list_first
 from ...frozen import value_class
 from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples, usual_step
+from ...recording.order_statistics import median_of
 from ...units import TIME_UNITS_NS, Units
 from ..files import TextFile
 from .column_names import Roles, column_name, column_roles, time_columns, unit_of
@@ -55,7 +56,7 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
         return "s", "nothing tells otherwise"
     last = float(stamps[-1])
     steps = np.diff(stamps.astype(np.float64))
-    middle, whole = float(np.median(steps)), (last - float(stamps[0])) / (len(stamps) - 1)
+    middle, whole = float(median_of(steps)), (last - float(stamps[0])) / (len(stamps) - 1)
     if not max(middle, whole) > 0:
         return "s", "nothing tells otherwise"
     with np.errstate(over="ignore"):
@@ -74,7 +75,7 @@ def named_unit(unit: str | None, stamps: NDArray[Any]) -> str | None:
     """Return the unit of stamps that a header names: Xsens' SampleTimeFine counts 100 us in an MTi, us in a DOT."""
     if unit != "100us" or len(stamps) < 2:
         return unit
-    step = float(np.median(np.diff(stamps.astype(np.float64))))
+    step = float(median_of(np.diff(stamps.astype(np.float64))))
     return "us" if step > _SLOWEST_MTI_S / 1e-4 else unit
 
 
@@ -83,7 +84,7 @@ def stray_timestamp(t_ns: Integers) -> int | None:
 
     No recording is so long; a timestamp that was written wrong would make it last for years.
     """
-    far = np.abs(t_ns - np.median(t_ns)) > _HALF_A_DAY_NS if len(t_ns) else np.empty(0, bool)
+    far = np.abs(t_ns - median_of(t_ns)) > _HALF_A_DAY_NS if len(t_ns) else np.empty(0, bool)
     return int(np.argmax(far)) if far.any() else None
 
 
@@ -336,7 +337,7 @@ def temperature_samples(t_ns: Integers, values: Floats, unit: str | None) -> tup
     """Return a thermometer's readings, their unit recognised where it is not told, and what was assumed."""
     if unit is not None:
         return TemperatureSamples(t_ns=t_ns, values=values, unit=unit), f"temperature in {unit} (as the file says)."
-    middle = float(np.median(values))
+    middle = float(median_of(values))
     kelvin, chip = (low <= middle <= high for low, high in (_KELVIN, _CHIP))
     found = "K" if kelvin else "degC" if chip else "count"
     note = f"temperature in {found} (its median is {middle:.4g}; the file does not say)."

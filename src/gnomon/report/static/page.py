@@ -9,6 +9,7 @@ from math import asin, degrees, isfinite
 
 import numpy as np
 
+from ...recording.order_statistics import median_of
 from ...results.calibration import Calibration, ImuCalibration
 from ...results.result import JoinedDiagnostics
 from ...results.sensor_diagnostics import (
@@ -399,7 +400,7 @@ def draw_allan(curve: AllanCurve) -> Plot:
     """Allan deviation of the three gyroscope axes (Tedaldi 2014, Fig. 3.2), with the advised T_init."""
     sheet = Sheet()
     prefix, factor = si_prefix(
-        float(np.median(finite_values(curve.deviation))) if finite_values(curve.deviation).size else 1.0
+        float(median_of(finite_values(curve.deviation))) if finite_values(curve.deviation).size else 1.0
     )
     title = f"Allan deviation [{prefix}rad/s]"
     axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
