@@ -59,6 +59,7 @@ def main() -> None:
         code = 3
     for stream in (sys.stdout, sys.stderr):
         _let_go(stream)
+    gc.freeze()  # else Python looks for such objects again and again while it ends, a seventh of a short command
     sys.exit(code)
 
 
