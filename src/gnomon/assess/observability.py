@@ -296,8 +296,6 @@ def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[F
 
 
 _VECTORS: tuple[Kind, Kind] = ("rotation", "translation")
-
-
 _SHIFTS = {"T_cam_imu": "time_shift_cam_imu", "T_imu_body": "time_shift_imu"}
 """Name of a pose -> that of the time shift of the same sensor."""
 

@@ -365,8 +365,6 @@ def _with_value(name: str, option: str, at: Integers, value: Floats) -> Integers
 
 
 _TELLS = 0.1  # information of the recording against that of the prior, from which on it can contradict it
-
-
 _SURE = 3.7  # sigmas of a normal variable: one healthy recording of ten thousand
 
 

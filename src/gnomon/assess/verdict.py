@@ -123,8 +123,6 @@ _EXPLAINS: dict[str, frozenset[str]] = {
 
 _ORDER = {code: rank for rank, code in enumerate(_EXPLAINS)}
 _SYMPTOMS = frozenset().union(*_EXPLAINS.values()) - _EXPLAINS.keys()
-
-
 _SEEN_BY_EACH_CAMERA = "triads-apart"  # with other digits; it is told once of an IMU
 
 

@@ -22,8 +22,6 @@ _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 
 
 _DELAYED, _CERTAIN, _FILTERED = "triads-apart", 3.0, 4.0
-
-
 _FAST_RAD_S = 2 * pi * 5
 """Angular frequency of a fast motion of a hand, at which a filter is described."""
 

@@ -130,8 +130,6 @@ def cut_findings(segments: int, imus: Sequence[str]) -> list[Finding]:
 
 
 _CHANCE, _SHARE = 0.01, 0.02
-
-
 _LASTING = 0.2
 """Correlation of a corner's residuals in frames that follow each other, from which on they are no noise."""
 
@@ -183,18 +181,12 @@ def _there(pattern: ResidualPattern) -> bool:
 
 
 _MAY_BE_EXPLAINED = frozenset({"clock-jump", "distortion", "tag-spacing"})
-
-
 _JUMPS = frozenset({"frames-late", "frames-repeated", "clock-jump"})
 """What makes the trajectory jump where the board stays."""
 
 
 _LEFT_OUT, _PIXELS = 0.05, 1.0
-
-
 _WITHIN_S, _WINDOW_S = 1.0, 0.6
-
-
 _TIMES = 5.0
 """By how much a moment's contradiction between the trajectory and the gyroscope stands out from the usual one; of sound
 recordings the largest is 2 to 3 times as large."""

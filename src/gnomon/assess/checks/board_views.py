@@ -103,8 +103,6 @@ def _copies_finding(name: str, copies: Mapping[int, int], views: int, *, exact: 
 
 
 FEWEST_CORNERS = 6  # fewer tell no wrong detection from a right one; as the estimation asks
-
-
 _ON_A_LINE = 1e-6  # smaller over larger variance of the points
 
 
@@ -164,8 +162,6 @@ def image_coverage(pixels: Floats, resolution: tuple[int, int], cells: tuple[int
 
 
 _MIRRORED = 0.5
-
-
 _SOME = 0.02
 
 
@@ -219,23 +215,11 @@ _INDEPENDENT = 3.0
 
 
 _FEWEST = 4  # frames on each side
-
-
 _FLOOR_RAD = 2e-3  # of a pose, however many corners it has
-
-
 _DRIFT_RAD_S = 1e-3
-
-
 _NEIGHBOURS, _ROBUST = 11, 4.0
-
-
 _MOVED_RAD, _MOVED_SIGMAS, _MOVED_TIMES = 0.015, 6.0, 6.0
-
-
 _LASTS = 0.5  # of the turn, by which it may be another one later, or by another camera
-
-
 _TELLS = 0.25  # of the turn, below which its sigma must be where a camera is asked
 
 

@@ -119,20 +119,10 @@ def _epochs_apart(stamps: Mapping[str, Integers]) -> list[Finding]:
 
 
 _STEP_S, _LONGEST_STEP_S = 0.1, 0.35
-
-
 _STRETCHES = 20
-
-
 _FEWEST_TURNS, _FEWEST_STRETCHES = 25, 10
-
-
 _ROUNDS, _PASSES = 3, 2
-
-
 _ROBUST = 3.0
-
-
 _LARGEST_S = 0.05  # a correction beyond this is no small one
 
 
@@ -311,11 +301,7 @@ def _line(t: Floats, shift: Floats, sigma: Floats) -> ClockDrift:
 
 
 _FEWEST_FRAMES, _ATTITUDE_ROUNDS, _ATTITUDE_ROBUST = 26, 3, 3.5
-
-
 _EXPLAINED, _ALIKE = 0.999, 0.9
-
-
 _FAST, _SIGMAS = 5e-3, 5.0
 
 

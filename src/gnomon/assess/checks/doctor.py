@@ -185,8 +185,6 @@ def check_field_samples(samples: TriadSamples, label: str) -> list[Finding]:
 
 
 _POSES = 9
-
-
 FindRests = Callable[[ImuSamples], RestDetection | None]
 
 

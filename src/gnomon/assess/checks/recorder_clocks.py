@@ -17,29 +17,13 @@ from ...recording.frames import Arrivals
 from .clock_checks import drift_finding, unit_factor, zero_stamps
 
 _FEWEST = 20
-
-
 _SHORTEST_S = 5.0
-
-
 _BINS = 40
-
-
 _LEAST_SIGMA_S = 1e-6  # timestamps are no better
-
-
 _JUMP_S = 0.02
-
-
 _JUMP_SIGMAS = 10.0
-
-
 _JUMP_REACH_S = 2.0  # a queue that held messages is empty again after this time
-
-
 _TOGETHER_S = 3.0
-
-
 _SAME_JUMP = 0.2
 
 

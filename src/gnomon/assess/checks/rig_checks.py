@@ -383,8 +383,6 @@ def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
 
 
 _BETTER, _LEFT = 0.1, 0.1  # what a change leaves, of what no change leaves and of the readings' power
-
-
 _LEAST = 0.05  # of the frames, on either side
 
 
@@ -431,11 +429,7 @@ def _change(design: Floats, read: Floats, axis: int) -> tuple[int, str, int] | N
 
 
 _SEARCH_S, _TRIALS, _STEP_S = 0.1, 41, 0.01
-
-
 _COMES_LATE_S, _COMES_LATE_SIGMAS, _CLEARLY = 0.015, 4.0, 2.0
-
-
 _LEFT_OF_FORCE = 0.1  # of the variance of the force, at most
 
 

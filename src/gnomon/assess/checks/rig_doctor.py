@@ -349,11 +349,7 @@ def _board(name: str, look: StreamSummary) -> list[Finding]:
 
 
 _OTHER_GAP = 0.03
-
-
 _MOST_LOOKED_AT = 60
-
-
 FEWEST_VIEWS = 3
 """Fewer views of a plane do not determine the intrinsics of a pinhole."""
 

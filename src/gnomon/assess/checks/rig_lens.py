@@ -37,8 +37,6 @@ _SIZES = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 5, 5 / 4, 4 / 3, 3 / 2, 2.0, 3.
 """Of the images over those for which a lens may be stated."""
 _SIZE_FRAMES, _FEWEST_OTHERS, _OTHERS = 40, 5, 0.1
 _BAD_PX, _FAR_BETTER = 0.7, 0.5
-
-
 _FOCAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(4, 6), 6, 7  # of the causes; 2 and 3: the principal point
 
 

@@ -24,41 +24,17 @@ from .rig_lens import check_image_size
 from .signals import check_exchanged, check_signal, check_stamps, check_vibration, is_silent
 
 FEWEST_FRAMES = 10
-
-
 _ENOUGH_FRAMES = 60
-
-
 _SLOW_HZ = 4.0
-
-
 _SHORT_S, _ENOUGH_S = 5.0, 20.0
-
-
 _GAP_PERIODS = 1.5
-
-
 _LOST_SHARE = 0.1
-
-
 _JITTER = 0.3  # of a period
-
-
 _UNSEEN_S = 2.0
-
-
 _MANY = 0.1
-
-
 _REPEATED = 0.02
-
-
 _COVERED = 0.3  # of the image
-
-
 _SMALL = 0.15  # of the image's diagonal
-
-
 _COMMON = 0.9
 
 
@@ -349,20 +325,10 @@ def check_common_time(
 
 
 _SLOW_IMU_HZ, _SLOWEST_IMU_HZ = 50.0, 10.0
-
-
 _SHORT_IMU_S = 5.0
-
-
 _PLAUSIBLE, _POSSIBLE = 1.2, 2.0  # median specific force over gravity, or the inverse
-
-
 _FASTEST_RAD_S = 35.0  # the full scale of usual gyroscopes, 2000 deg/s
-
-
 _STILL_RAD_S, _SLOWEST_RAD_S = 0.05, 0.1
-
-
 _SWING_S, _SWINGS = 0.3, 9
 
 

@@ -309,11 +309,7 @@ def _iteration_finding(fit: AngrisanoFit) -> Finding:
 
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
-
-
 _SCATTER_WARN = 2e-3  # of the magnitude
-
-
 _FEW_REDUNDANT = 3
 
 

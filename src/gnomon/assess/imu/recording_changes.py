@@ -18,23 +18,11 @@ from ...results.sensors import TemperatureDependence
 from .imu_tables import ImuFitSummary, interval_numbers
 
 _TRIADS, _BIASES = ("gyroscope", "accelerometer"), (slice(21, 24), slice(9, 12))
-
-
 _SEEN = 0.3  # of the bias's sigma, from which on a course is worth a word
-
-
 _SHOWN = 4  # parts of a recording
-
-
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
-
-
 _MOSTLY = 0.5  # of a variance
-
-
 _CURVE = 100  # temperatures at which a polynomial is looked at
-
-
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
@@ -252,11 +240,7 @@ def _per_si(evidence: ImuFitSummary, triad: str) -> Floats:
 
 
 _TURN_IT = "turn it through all attitudes while it warms up by more, and cools again"
-
-
 _WARM_IT = "and turn-on scatter record warm-ups at rest: gnomon temperature WARM-UP... --calibration RESULT"
-
-
 _PARTS_OF = {"1": " %", "local field": " % of the local field"}
 
 
@@ -303,8 +287,6 @@ def axes_changed_findings(problem: MultiPositionProblem) -> list[Finding]:
 
 
 _FEWEST = 3  # rests behind each other
-
-
 _CHANCE = 0.05  # that rests left out independently of each other lie as close together
 
 
