@@ -45,9 +45,8 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..results.result import Booleans, Result
-from .steps.magnetometer_temperature import FieldOverTemperature, field_over_temperature
 from .steps.preparation import check_arguments, local_gravity, stated_options
-from .steps.temperature_while_turned import rose_and_fell
+from .steps.temperature_while_turned import FieldOverTemperature, field_over_temperature, rose_and_fell
 
 _FIELDS_UT = (10.0, 200.0)
 _FEWEST, _SHORTEST_S = 100, 5.0

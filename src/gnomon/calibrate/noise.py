@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..assess.checks.protocol import TELLS_RESTS, check_protocol, find_imu_rests
+from ..assess.checks.imu_checks import TELLS_RESTS, check_protocol, find_imu_rests
 from ..assess.checks.signals import check_turns, copied_stretches, dead_band_finding, isolated_finding
 from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope

@@ -13,7 +13,7 @@ from os import PathLike
 
 import numpy as np
 
-from ..assess.checks.protocol import find_imu_rests
+from ..assess.checks.imu_checks import find_imu_rests
 from ..assess.needs import judge_for_use, needs_of_use
 from ..assess.observability import HELD, known_of, weak_directions, weak_findings
 from ..assess.verdict import with_verdict

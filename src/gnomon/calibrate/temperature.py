@@ -35,10 +35,16 @@ from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Provenance
 from ..results.temperature import AxisOverTemperature, TemperatureResult, TriadOverTemperature
 from ..results.temperature_dependence import HIGHEST_ORDER, TemperatureDependence
-from .steps.nominal_sensor import base_calibration
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 from .steps.temperature_while_turned import supported_order
-from .steps.warm_ups import TRIADS, RestRecordings, average_at_rest, is_turned, sensor_with_thermometer
+from .steps.warm_ups import (
+    TRIADS,
+    RestRecordings,
+    average_at_rest,
+    base_calibration,
+    is_turned,
+    sensor_with_thermometer,
+)
 from .turned_temperature import (
     FEWEST_TEMPERATURES,
     TurnedRecordings,

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..assess.changes import with_changes
 from ..assess.imu.recording_changes import slope_finding
-from ..assess.imu.turntable_tables import TurntableFitSummary, describe_turntable
-from ..assess.imu.turntable_verdict import assess_turntable
+from ..assess.imu.turntable_verdict import TurntableFitSummary, assess_turntable, describe_turntable
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior, prior_findings, prior_used, refuse_own_data
 from ..errors import DetectionError, InitialisationError, OptionError, SolveError
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_platter_accelerometer, fit_turntable

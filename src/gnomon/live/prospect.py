@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from ..assess.checks.protocol import distinct_attitudes, find_imu_rests
+from ..assess.checks.imu_checks import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
 from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.checks.protocol import find_imu_rests
+from gnomon.assess.checks.imu_checks import find_imu_rests
 from gnomon.recording import Floats
 from gnomon.results.result import interval_means
 

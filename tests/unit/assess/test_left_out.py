@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.protocol import left_out_rests_findings
+from gnomon.assess.checks.imu_checks import left_out_rests_findings
 from gnomon.assess.imu.recording_changes import significant_cluster
 
 

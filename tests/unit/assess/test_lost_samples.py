@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.checks.doctor import check_lost_samples
+from gnomon.assess.checks.imu_checks import check_lost_samples
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.assess.checks.doctor import check_triad_clocks
+from gnomon.assess.checks.imu_checks import check_triad_clocks
 from gnomon.assess.checks.signals import check_vibration
 from gnomon.recording import ImuSamples, TriadSamples
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.protocol import find_imu_rests
+from gnomon.assess.checks.imu_checks import find_imu_rests
 from gnomon.detect.samples.rests import RestDetection, find_range_change
 from gnomon.recording import Floats, ImuSamples
 from gnomon.results.result import StaticIntervals

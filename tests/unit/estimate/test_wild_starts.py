@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.doctor import check_triad_clocks
+from gnomon.assess.checks.imu_checks import check_triad_clocks
 from gnomon.errors import InitialisationError
 from gnomon.estimate.camera_imu.choices import lens_tolerances
 from gnomon.estimate.camera_imu.layout import parameter_blocks

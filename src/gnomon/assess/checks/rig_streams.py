@@ -19,7 +19,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_G
 from .board_views import FEWEST_CORNERS, BoardSightings, board_sightings, check_handedness, image_coverage
 from .clock_checks import check_epochs
 from .image_checks import check_images
-from .protocol import looks_like, range_changed_finding, why_no_gravity
+from .imu_checks import looks_like, range_changed_finding, why_no_gravity
 from .rig_lens import check_image_size
 from .signals import check_exchanged, check_signal, check_stamps, check_vibration, is_silent
 

@@ -16,7 +16,7 @@ from ...recording.order_statistics import median_of
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from ..checks.protocol import left_out_rests_findings as rests_left_out
+from ..checks.imu_checks import left_out_rests_findings as rests_left_out
 from ..observability import weak_findings
 from ..priors import NAMES, TRIADS
 from ..verdict import (
