@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import OptionError
-from ..estimate.triads.triad_poses import TriadPrior
+from ..estimate.triads.triad_problem import TriadPrior
 from ..findings import Finding, make_finding
 from ..frozen import value_class
 from ..models.frames import frame_rotation

@@ -426,7 +426,7 @@ def _is_left_to_rests(prepared: PreparedImu) -> bool:
     problems = {f.code: f for f in prepared.findings if f.severity == "problem" and f.code in LEFT_TO_RESTS}
     silent = problems.get("gyroscope-silent")
     if silent is not None:
-        from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
+        from ..estimate.triads.gyroscope_at_rests import FEWEST_POSES
 
         if np.sum(recording_gaps(prepared.accelerometer)) < FEWEST_POSES - 1:
             raise DetectionError(str(silent))

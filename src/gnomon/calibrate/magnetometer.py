@@ -9,25 +9,24 @@ import numpy as np
 
 from ..assess.changes import with_changes
 from ..assess.checks.doctor import check_field_samples
+from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
-from ..assess.imu.temperature import check_temperature
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..detect.samples.faults import repair_samples, saturated_samples
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
-from ..estimate.triads.blocks import TimeBlocks, block_covariance, leave_blocks_out, memory_s
-from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
+from ..estimate.triads.attitudes import DipFit, GravityFit, fit_dip, fit_gravity, force_at, in_body_frame
 from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise, usual_distance
-from ..estimate.triads.known_attitudes import GravityFit, fit_gravity, force_at
 from ..estimate.triads.magnetometer import (
     MagnetometerFit,
+    field_trust,
     fit_magnetometer,
     stray_samples,
     with_soft_iron_unknown,
 )
 from ..estimate.triads.triad_start import Ellipsoid, near_ellipsoid
-from ..estimate.triads.triad_trust import field_trust
+from ..estimate.triads.triad_trust import TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from ..estimate.trust.changes import start_of_estimates
 from ..findings import Finding, make_finding
 from ..frozen import value_class

@@ -13,18 +13,17 @@ import numpy as np
 
 from ..assess.checks.imu_checks import TELLS_RESTS, check_protocol, find_imu_rests
 from ..assess.checks.signals import check_turns, copied_stretches, dead_band_finding, isolated_finding
+from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import StillSpans, assess_noise, check_length, check_samples, check_still
-from ..assess.imu.temperature import check_temperature
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..detect.samples.faults import RepeatWatch, dead_bands, isolated_readings, without_readings
 from ..detect.samples.rest_watch import RestTable, RestWatch
 from ..detect.samples.static_intervals import averaging_time
 from ..errors import RecordingError
-from ..estimate.allan.deviation import AllanSums, AllanVariance
+from ..estimate.allan.deviation import KINDS, AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
-from ..estimate.allan.model import KINDS
 from ..estimate.allan.patterns import HighPass, longest_unfiltered_s
 from ..findings import Finding, make_finding
 from ..options import NoiseOptions

@@ -12,11 +12,10 @@ from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_
 from ..assess.imu.poses_verdict import assess_poses
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior, prior_findings, prior_used, pulled_findings
 from ..errors import DetectionError, InitialisationError, OptionError
-from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
-from ..estimate.triads.pose_drift import PoseDrift, PoseStep, count_rival_step, fit_with_drift
-from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
-from ..estimate.triads.triad import TriadFit, fit_triad
-from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
+from ..estimate.triads.attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
+from ..estimate.triads.gyroscope_at_rests import FEWEST_POSES
+from ..estimate.triads.triad import PoseDrift, PoseStep, TriadFit, count_rival_step, fit_triad, fit_with_drift
+from ..estimate.triads.triad_problem import PARAMETERS, TriadPoses, TriadPrior
 from ..estimate.triads.triad_trust import robust_triad
 from ..findings import Finding
 from ..options import ImuOptions

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..assess.imu.joined_recordings import Scalars
 from ..errors import RecordingError
-from ..estimate.temperature.over_recordings import Calibrations, proven_order
-from ..estimate.trust.between_recordings import RegressedEstimate
+from ..estimate.trust.between_recordings import Calibrations, RegressedEstimate, proven_order
 from ..frozen import value_class
 from ..options import ImuOptions
 from ..progress import Progress

@@ -15,8 +15,7 @@ from ..assess.imu.turntable_verdict import TurntableFitSummary, assess_turntable
 from ..assess.priors import NOTHING, Prior, Priors, gather_prior, prior_findings, prior_used, refuse_own_data
 from ..errors import DetectionError, InitialisationError, OptionError, SolveError
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_platter_accelerometer, fit_turntable
-from ..estimate.turntable.parts import TurntableParts
-from ..estimate.turntable.speeds import NO_SPEED, reassign_speeds
+from ..estimate.turntable.parts import NO_SPEED, TurntableParts, reassign_speeds
 from ..findings import Finding
 from ..options import StatedRate, TurntableOptions
 from ..progress import Progress

@@ -10,7 +10,7 @@ from gnomon.assess.imu.imu_verdict import unit_findings
 from gnomon.assess.imu.poses_verdict import redundancy_findings, relative_sigmas, scatter_findings
 from gnomon.assess.verdict import grade_value
 from gnomon.estimate.triads.triad import fit_triad
-from gnomon.estimate.triads.triad_poses import TriadPoses
+from gnomon.estimate.triads.triad_problem import TriadPoses
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 BETWEEN = np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1], [-1, 1, 0], [1, 0, -1], [0, -1, 1]]) / np.sqrt(2)

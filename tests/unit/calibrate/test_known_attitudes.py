@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gnomon.estimate.triads.known_attitudes import compare_attitudes, rough_directions
+from gnomon.estimate.triads.attitudes import compare_attitudes, rough_directions
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 
 EDGES = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) in {1, 2}])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gnomon.assess.checks.imu_checks import find_imu_rests
-from gnomon.detect.samples.rests import RestDetection, find_range_change
+from gnomon.detect.samples.faults import find_range_change
+from gnomon.detect.samples.rests import RestDetection
 from gnomon.recording import Floats, ImuSamples
 from gnomon.results.result import StaticIntervals
 from gnomon.simulate.imu import simulate_imu

@@ -9,9 +9,15 @@ from scipy.signal import fftconvolve
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.estimate.allan import deviation as allan
-from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan
+from gnomon.estimate.allan.deviation import (
+    KINDS,
+    AllanSums,
+    allan_design,
+    estimate_covariance,
+    line_effect,
+    overlapping_allan,
+)
 from gnomon.estimate.allan.fit import AllanFit
-from gnomon.estimate.allan.model import KINDS, allan_design, estimate_covariance, line_effect
 from gnomon.recording import Recording
 from gnomon.simulate.scenarios.recorded import NoiseScenario
 from gnomon.simulate.sensor import noise_blocks

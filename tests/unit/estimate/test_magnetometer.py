@@ -8,10 +8,10 @@ import pytest
 import gnomon
 from gnomon.calibrate.magnetometer import calibrate_magnetometer
 from gnomon.errors import DetectionError, OptionError, RecordingError
-from gnomon.estimate.triads.blocks import Stage, TimeBlocks, block_covariance, leave_blocks_out, memory_s
-from gnomon.estimate.triads.dip import fit_dip
+from gnomon.estimate.triads.attitudes import fit_dip
 from gnomon.estimate.triads.field_poses import field_poses, rough_ellipsoid, sample_noise
 from gnomon.estimate.triads.triad_start import Ellipsoid
+from gnomon.estimate.triads.triad_trust import Stage, TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import MagnetometerOptions
 from gnomon.recording import ImuSamples, Recording, TriadSamples

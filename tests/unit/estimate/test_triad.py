@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gnomon import InitialisationError, OptionError
 from gnomon.estimate.triads.triad import fit_triad
-from gnomon.estimate.triads.triad_poses import TriadPoses, TriadPrior
+from gnomon.estimate.triads.triad_problem import TriadPoses, TriadPrior
 from gnomon.estimate.triads.triad_start import constrained_ellipsoid, fit_sphere, general_ellipsoid
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 

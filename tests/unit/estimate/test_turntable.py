@@ -10,8 +10,7 @@ from gnomon.calibrate.turntable import calibrate_turntable
 from gnomon.detect.samples.faults import saturated_samples
 from gnomon.detect.samples.steady import find_steady, largest_rate
 from gnomon.errors import DetectionError, OptionError, SolveError
-from gnomon.estimate.turntable.parts import ForceBlocks, axis_in_sensor, drift_at
-from gnomon.estimate.turntable.speeds import NO_SPEED, assign_speeds
+from gnomon.estimate.turntable.parts import NO_SPEED, ForceBlocks, assign_speeds, axis_in_sensor, drift_at
 from gnomon.options import StatedRate, TurntableOptions
 from gnomon.simulate import TurntableScenario, simulate_turntable
 

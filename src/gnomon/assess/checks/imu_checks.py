@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...detect.samples.faults import repair_samples, saturated_samples
-from ...detect.samples.rests import RangeChange, RestDetection, Rests, detect_rests
+from ...detect.samples.faults import RangeChange, repair_samples, saturated_samples
+from ...detect.samples.rests import RestDetection, Rests, detect_rests
 from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...progress import tell_parts
@@ -15,8 +15,8 @@ from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, 
 from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.result import StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
-from ..imu.temperature import check_temperature
 from .signals import axis_extremes, check_exchanged, check_signal, check_stamps, check_vibration, is_silent
+from .temperature_checks import check_temperature
 
 TELLS_RESTS = ("attitudes", "always-static", "intervals-left-out")
 _LISTED = 6  # runs of rests with one reason

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.faults import saturated_samples
-from ...detect.samples.rests import find_range_change
+from ...detect.samples.faults import find_range_change, saturated_samples
 from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import (
     Alignment,

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.rests import RangeChange, find_range_change
+from ...detect.samples.faults import RangeChange, find_range_change
 from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...models.target import Target

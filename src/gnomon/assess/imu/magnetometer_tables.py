@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from ...estimate.triads.dip import DipFit
+from ...estimate.triads.attitudes import DipFit, GravityFit
 from ...estimate.triads.field_poses import FieldPoses, field_of
-from ...estimate.triads.known_attitudes import GravityFit
 from ...estimate.triads.magnetometer import MagnetometerFit
 from ...estimate.trust.parts import RobustCovariance
 from ...frozen import value_class

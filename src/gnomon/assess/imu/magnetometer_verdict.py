@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...estimate.triads.blocks import FEWEST_BLOCKS
+from ...estimate.triads.triad_trust import FEWEST_BLOCKS
 from ...findings import Finding, Severity, list_first, make_finding
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout

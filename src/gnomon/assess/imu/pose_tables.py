@@ -3,11 +3,9 @@
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
-from ...estimate.triads.known_attitudes import StatedAttitudes
-from ...estimate.triads.pose_drift import PoseDrift, PoseStep
-from ...estimate.triads.rotation_sensitivity import RotationSensitivity
-from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
-from ...estimate.triads.triad import TriadFit
+from ...estimate.triads.attitudes import StatedAttitudes
+from ...estimate.triads.gyroscope_at_rests import RotationSensitivity, StaticGSensitivity
+from ...estimate.triads.triad import PoseDrift, PoseStep, TriadFit
 from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, make_finding
 from ...frozen import value_class

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
-from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift, PoseStep
-from ...estimate.triads.triad_poses import B_, S_
+from ...estimate.triads.triad import SIGNIFICANT, PoseDrift, PoseStep
+from ...estimate.triads.triad_problem import B_, S_
 from ...estimate.trust.parts import RobustCovariance
 from ...findings import Finding, list_first, make_finding
 from ...recording import Floats

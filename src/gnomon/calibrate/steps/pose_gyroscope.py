@@ -10,10 +10,15 @@ import numpy as np
 
 from ...assess.imu.pose_tables import RestingGyroscope
 from ...assess.priors import Prior
-from ...estimate.triads.rotation_sensitivity import RotationSensitivity, fit_rotation_sensitivity
-from ...estimate.triads.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
+from ...estimate.triads.gyroscope_at_rests import (
+    RestingRates,
+    RotationSensitivity,
+    StaticGSensitivity,
+    fit_rotation_sensitivity,
+    fit_static_g_sensitivity,
+)
 from ...estimate.triads.triad import TriadFit
-from ...estimate.triads.triad_poses import B_, G_, S_, TriadPrior
+from ...estimate.triads.triad_problem import B_, G_, S_, TriadPrior
 from ...geometry.rotation_vector import invert_matrix, nearest_rotation
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import ImuOptions

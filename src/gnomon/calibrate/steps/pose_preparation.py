@@ -12,7 +12,7 @@ from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.multiposition.measurements import cut_segments, segments_between
 from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked
-from ...estimate.triads.rotation_sensitivity import RestRotations
+from ...estimate.triads.gyroscope_at_rests import RestRotations
 from ...findings import Finding
 from ...frozen import value_class
 from ...options import ImuOptions

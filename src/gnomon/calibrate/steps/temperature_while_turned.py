@@ -13,7 +13,7 @@ from ...assess.imu.recording_changes import slope_finding
 from ...estimate.multiposition.bias_functions import temperature_columns
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
-from ...estimate.temperature.bias_course import FEWEST_FOR_COURSE, bias_course
+from ...estimate.temperature.bias_drift import FEWEST_FOR_COURSE, bias_course
 from ...estimate.triads.field_poses import FieldPoses
 from ...estimate.triads.magnetometer import MagnetometerFit, drift_over, drift_rows, field_windows
 from ...frozen import value_class

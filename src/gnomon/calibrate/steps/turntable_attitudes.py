@@ -9,15 +9,16 @@ from ...detect.samples.static_intervals import resting_noise
 from ...detect.samples.steady import block_means, block_samples
 from ...errors import RecordingError
 from ...estimate.turntable.parts import (
+    NO_SPEED,
     AxisInSensor,
     Between,
     ForceBlocks,
+    Speeds,
     TurntableData,
     TurntableParts,
     axis_in_sensor,
     link_parts,
 )
-from ...estimate.turntable.speeds import NO_SPEED, Speeds
 from ...findings import Finding
 from ...frozen import value_class
 from ...options import StatedRate

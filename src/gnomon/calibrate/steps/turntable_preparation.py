@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
-from ...assess.imu.temperature import check_temperature
+from ...assess.checks.temperature_checks import check_temperature
 from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
-from ...estimate.turntable.parts import TurntableParts
-from ...estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
+from ...estimate.turntable.parts import NO_SPEED, Speeds, TurntableParts, assign_speeds
 from ...findings import Finding, make_finding
 from ...options import StatedRate, TurntableOptions
 from ...recording import Floats, Integers, Recording, TemperatureSamples, TriadSamples

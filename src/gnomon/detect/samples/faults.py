@@ -1,13 +1,17 @@
-"""Faults of samples: what is clipped, held, isolated, stamped twice or written twice; what is harmless is repaired.
+"""Faults of samples: clipped, held, isolated, stamped twice, written twice, or of another range from one instant on.
 
-Harmful faults are left for the data doctor to name. A sample at the end of the sensor's range says "at least this much"
-and no more.
+What is harmless is repaired; harmful faults are left for the data doctor to name. A sample at the end of the sensor's
+range says "at least this much" and no more.
 
 Stretches that occur twice are a file appended to itself, or two that share a part. Copies that were written with other
 decimals differ by less than samples do: readings are compared in steps of half of what the smallest tenth of all
 changes is. Sensors repeat single readings by chance, and at rest, coarsely quantised, they do so all the time. Readings
 that do not change are therefore counted once, and a stretch counts from 64 changes in succession on, between at least
 32 different readings: a noise of one step flips between fewer, and more noise does not repeat itself.
+
+In some recordings the accelerometer reads gravity several times as large from one instant on: its full-scale range was
+set anew (a brown-out sets it back), its unit was changed, or another sensor's samples follow. No bias or scale of a
+working sensor does that. The rests of one side only can be calibrated together.
 """
 
 from dataclasses import replace
@@ -18,7 +22,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array, smallest_steps
 from ...recording.order_statistics import distinct_values, median_of, quantile_of
-from ...results.result import Booleans
+from ...results.result import Booleans, StaticIntervals
 
 _RARE = 0.01
 _BESIDE = 3  # samples on either side of a reading
@@ -49,6 +53,11 @@ _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
 _COLUMNS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93)
 
 _Hashes = NDArray[np.uint64]
+
+_FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
+_ALIKE = 0.25  # of a side's median: scales of raw counts differ by that from axis to axis
+_FEW_ODD = 0.1  # of a side's rests that may read anything
+_FEWEST_RESTS = 2  # on either side
 
 
 def repair_samples(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
@@ -462,3 +471,57 @@ def _runs(readings: Floats, others: Floats, offset: int) -> list[tuple[int, int,
         for run in runs
         if run[1] >= _LENGTH and len(np.unique(readings[run[0] : run[0] + _LENGTH], axis=0)) >= _DIFFERENT
     ]
+
+
+@value_class
+class RangeChange:
+    """Where the accelerometer began to read gravity as another number.
+
+    Attributes
+    ----------
+    last, first : last sample of the last rest before it, and first sample of the first rest after it
+    factor : what is read after it, over what was read before
+    kept : samples of the side that is calibrated, from its first to one past its last
+    """
+
+    last: int
+    first: int
+    factor: float
+    kept: tuple[int, int]
+
+
+def find_range_change(
+    read: Floats, parts: StaticIntervals, samples: int, gravity: float | None = None, enough: int = 0
+) -> RangeChange | None:
+    """Return the one instant from which on gravity is read as another number; None where all read about the same.
+
+    The side that reads gravity is kept where it has enough rests, else the one with more of them.
+
+    Parameters
+    ----------
+    read : (m,) magnitude of gravity as each part read it [unit]
+    parts : (m,) rests in order of time, found whatever their noise, or stretches of a motion
+    samples : number of samples of the recording
+    gravity : in that unit; None for counts
+    enough : number of rests that determine a calibration
+    """
+    if len(read) < 2 * _FEWEST_RESTS or not (read > 0).all():
+        return None
+    logs = np.log(read)
+    away = np.cumsum(logs - logs.mean())[_FEWEST_RESTS - 1 : -_FEWEST_RESTS]
+    k = int(np.argmax(np.abs(away))) + _FEWEST_RESTS
+    before, after = float(median_of(read[:k])), float(median_of(read[k:]))
+    sides = (read[:k], before), (read[k:], after)
+    alike = all(float(np.mean(np.abs(side / middle - 1) > _ALIKE)) <= _FEW_ODD for side, middle in sides)
+    low, high = (side for side, _ in sorted(sides, key=lambda side: side[1]))
+    apart = quantile_of(low, 1 - _FEW_ODD) < quantile_of(high, _FEW_ODD)
+    if not (alike and apart) or max(before, after) < _FACTOR * min(before, after):
+        return None
+    last, first = int(parts.stop[k - 1]) - 1, int(parts.start[k])
+    middle = (last + first + 1) // 2
+    counts = (k, len(read) - k)
+    errors = [abs(np.log(one / gravity)) if gravity else 0.0 for one in (before, after)]
+    best = min((0, 1), key=lambda side: (counts[side] < enough, errors[side] > np.log(_FACTOR), -counts[side]))
+    return RangeChange(
+        last=last, first=first, factor=after / before, kept=(0, middle) if best == 0 else (middle, samples)
+    )

@@ -4,10 +4,6 @@ The threshold is chosen by what the calibration gains from it (Tedaldi 2014, Alg
 Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the uncertainty that the
 accelerometer's parameters would have with its intervals, at the noise that leaving each interval out reveals: more data
 lower it, intervals that hold motion raise it.
-
-In some recordings the accelerometer reads gravity several times as large from one instant on: its full-scale range was
-set anew (a brown-out sets it back), its unit was changed, or another sensor's samples follow. No bias or scale of a
-working sensor does that. The rests of one side only can be calibrated together.
 """
 
 from dataclasses import replace
@@ -23,6 +19,7 @@ from ...recording import Floats, Integers, TriadSamples
 from ...recording.order_statistics import median_of, quantile_of
 from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2
+from .faults import RangeChange, find_range_change
 from .stillness import RateMarks, mark_rates, static_statistic, window_samples
 
 MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
@@ -41,11 +38,6 @@ _MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch o
 _UNSEEN_S = 0.5  # without a sample
 _LOOKED_AT = 10_000  # samples, about, that tell the rate at rest
 _TURNED = 0.15  # of the fastest motion, between two pieces of a rest
-
-_FACTOR = 1.25  # from which on it is no error of a sensor; ranges differ by two
-_ALIKE = 0.25  # of a side's median: scales of raw counts differ by that from axis to axis
-_FEW_ODD = 0.1  # of a side's rests that may read anything
-_FEWEST = 2  # rests on either side
 
 
 @value_class
@@ -137,23 +129,6 @@ class RestStatistics:
             marks, turned = marks.at(at), turned[at]
             unseen = np.minimum(np.abs(t_gyro[at] - t_accel), np.abs(t_gyro[at - (at > 0)] - t_accel)) > _UNSEEN_S
         return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned, unseen=unseen)
-
-
-@value_class
-class RangeChange:
-    """Where the accelerometer began to read gravity as another number.
-
-    Attributes
-    ----------
-    last, first : last sample of the last rest before it, and first sample of the first rest after it
-    factor : what is read after it, over what was read before
-    kept : samples of the side that is calibrated, from its first to one past its last
-    """
-
-    last: int
-    first: int
-    factor: float
-    kept: tuple[int, int]
 
 
 @value_class
@@ -448,40 +423,3 @@ def _range_change(samples: TriadSamples, rests: tuple[Rests, ...], gravity_m_s2:
         for read, some in zip(reads, rests, strict=True)
     )
     return next((change for change in changes if change is not None), None)
-
-
-def find_range_change(
-    read: Floats, parts: StaticIntervals, samples: int, gravity: float | None = None, enough: int = 0
-) -> RangeChange | None:
-    """Return the one instant from which on gravity is read as another number; None where all read about the same.
-
-    The side that reads gravity is kept where it has enough rests, else the one with more of them.
-
-    Parameters
-    ----------
-    read : (m,) magnitude of gravity as each part read it [unit]
-    parts : (m,) rests in order of time, found whatever their noise, or stretches of a motion
-    samples : number of samples of the recording
-    gravity : in that unit; None for counts
-    enough : number of rests that determine a calibration
-    """
-    if len(read) < 2 * _FEWEST or not (read > 0).all():
-        return None
-    logs = np.log(read)
-    away = np.cumsum(logs - logs.mean())[_FEWEST - 1 : -_FEWEST]
-    k = int(np.argmax(np.abs(away))) + _FEWEST
-    before, after = float(median_of(read[:k])), float(median_of(read[k:]))
-    sides = (read[:k], before), (read[k:], after)
-    alike = all(float(np.mean(np.abs(side / middle - 1) > _ALIKE)) <= _FEW_ODD for side, middle in sides)
-    low, high = (side for side, _ in sorted(sides, key=lambda side: side[1]))
-    apart = quantile_of(low, 1 - _FEW_ODD) < quantile_of(high, _FEW_ODD)
-    if not (alike and apart) or max(before, after) < _FACTOR * min(before, after):
-        return None
-    last, first = int(parts.stop[k - 1]) - 1, int(parts.start[k])
-    middle = (last + first + 1) // 2
-    counts = (k, len(read) - k)
-    errors = [abs(np.log(one / gravity)) if gravity else 0.0 for one in (before, after)]
-    best = min((0, 1), key=lambda side: (counts[side] < enough, errors[side] > np.log(_FACTOR), -counts[side]))
-    return RangeChange(
-        last=last, first=first, factor=after / before, kept=(0, middle) if best == 0 else (middle, samples)
-    )

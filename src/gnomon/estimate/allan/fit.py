@@ -27,7 +27,7 @@ from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...solve.least_squares import solve_nonnegative
-from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
+from .deviation import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 
 _SIGNIFICANT = 3.0  # sigmas
 _WORTH = 2.0  # of twice the log likelihood, for a kind of noise to stay in the fit

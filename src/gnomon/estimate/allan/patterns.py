@@ -23,7 +23,7 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats
 from ...results.result import Booleans
-from .model import KINDS, integral_covariances
+from .deviation import KINDS, integral_covariances
 
 PatternKind = Literal["step", "steps", "wave", "warm-up"]
 

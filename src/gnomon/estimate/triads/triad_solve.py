@@ -14,8 +14,19 @@ from ...frozen import value_class
 from ...recording import Floats
 from ...results.result import Booleans
 from ...solve.least_squares import levenberg_marquardt
-from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
-from .triad_rows import TriadNoiseLevels, TriadProblem, TriadResiduals, noise_at, triad_residuals
+from .triad_problem import (
+    B_,
+    G_,
+    PARAMETERS,
+    S_,
+    TriadNoiseLevels,
+    TriadPoses,
+    TriadPrior,
+    TriadProblem,
+    TriadResiduals,
+    noise_at,
+    triad_residuals,
+)
 
 _UPPER = [1, 2, 5]
 _WILD = 10.0  # times the usual distance

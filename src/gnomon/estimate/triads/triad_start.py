@@ -12,8 +12,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, nearest_rotation
 from ...recording import Floats
 from ...results.result import Booleans
-from .triad_poses import B_, G_, PARAMETERS, S_, TriadPrior
-from .triad_rows import TriadProblem, known_magnitudes, noise_at, true_vectors
+from .triad_problem import B_, G_, PARAMETERS, S_, TriadPrior, TriadProblem, known_magnitudes, noise_at, true_vectors
 from .triad_solve import Minimum, TriadScaling, equation_counts, irls, minimise_from, not_wild, with_weak_prior
 
 _LEVEL_STEPS = 20

@@ -1,6 +1,9 @@
-"""Sigmas of a triad that hold where poses do not err alike or not independently.
+"""Sigmas of a triad that hold where poses do not err alike or not independently, as when a hand turns the sensor.
 
-How far a magnetometer's parameters can be trusted: the blocks of time behind its covariance, and parts compared.
+The field differs from place to place, and a hand accelerates: neighbouring residuals err together, and the covariance
+for independent errors is too small. Blocks of time longer than this memory are as good as independent; how the estimate
+moves when each is left out tells its covariance (the delete-one-block jackknife). Each step is one exact Gauss-Newton
+step. Estimates that rest on earlier ones move along with them.
 """
 
 from collections.abc import Sequence
@@ -8,16 +11,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.sensors import element_names
-from ...results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
-from ..trust.changes import parameter_changes
-from ..trust.clusters import ClusterSums, Robust
-from ..trust.parts import PartComparison, RobustCovariance, robust_covariance
-from .magnetometer import MagnetometerFit
+from ...results.trust import BlockAgreement, Splits, Trust
+from ..trust.clusters import ClusterSums
+from ..trust.parts import RobustCovariance, robust_covariance
 from .triad import TriadFit
 
 _FEWEST_FREEDOM = 3.0  # below, Student's t has no variance
+
+_CELLS_S = 0.25
+_FORGOTTEN = 0.1  # correlation that counts as none
+_LONGER = 3.0  # a block, than that takes
+FEWEST_BLOCKS = 15
+_SHORTEST_S = 1.0
 
 
 def triad_sums(fit: TriadFit, stretch: Integers, t_s: Floats) -> ClusterSums:
@@ -124,64 +132,155 @@ def _pooled(splits: Sequence[Splits]) -> Splits | None:
     )
 
 
-_PATHS = ("imu0.magnetometer.sensitivity", "imu0.magnetometer.bias")
-_NAMES = (*element_names(_PATHS[0], (3, 3)), *element_names(_PATHS[1], (3,)))
-_OPEN = 1e-9  # of the information: what a part leaves open stays finite
+@value_class
+class Stage:
+    """One least-squares estimate, linearised at its solution; residuals in units of their sigma.
 
-
-def field_trust(fit: MagnetometerFit, t_s: Floats) -> RobustCovariance:
-    """Return what blocks of time say of a magnetometer, in its own frame.
-
-    Parameters
+    Attributes
     ----------
-    t_s : (n,) when each pose was measured [s]
+    residual : (n,); zero rows where a pose was not used
+    jacobian : (n, p) derivative by its own parameters
+    earlier : derivatives (n, q) by the parameters of each of the stages before it; empty where it rests on none
+    covariance : (p, p) for independent errors, with what was known beforehand
+    precision : (p, p) of what was known beforehand; None where that is nothing
     """
-    basis, stage = fit.iron.basis, fit.stage
-    known = np.zeros_like(stage.covariance) if stage.precision is None else stage.precision
-    by_prior = basis @ stage.covariance @ known @ stage.covariance @ basis.T
-    ordinary, covariance = basis @ stage.covariance @ basis.T, basis @ fit.covariance @ basis.T
-    from_errors = ordinary - by_prior
-    own = np.diag(from_errors)
-    factor = np.where(own > 0, (np.diag(covariance) - np.diag(by_prior)) / np.where(own > 0, own, 1.0), 1.0)
-    sums = _sums(fit, t_s, known)
-    found = Robust(
-        factor=np.maximum(factor, 1.0),
-        from_errors=from_errors,
-        from_prior=by_prior,
-        correlation=np.eye(len(own)),
-        clusters=len(sums),
-    )
-    paths = np.array([name.split("[")[0] for name in _NAMES], dtype=object)
-    estimated = np.diag(ordinary) > 0
-    comparison = PartComparison(sums=sums, jacobian=basis, found=found, names=_NAMES, paths=paths)
-    return RobustCovariance(
-        covariance=covariance,
-        trust=Trust(
-            clusters=Clusters(count=len(sums), length_s=fit.blocks.length_s, memory_s=fit.blocks.memory_s),
-            names=tuple(np.array(_NAMES, dtype=object)[estimated]),
-            ordinary_sigma=np.sqrt(np.diag(ordinary)[estimated]),
-            sigma=np.sqrt(np.diag(covariance)[estimated]),
-            ratios=tuple(
-                SigmaRatio(block=path, ratio=float(np.sqrt(np.mean(found.factor[(paths == path) & estimated]))))
-                for path in dict.fromkeys(paths[estimated])
-            ),
-            splits=comparison.splits(estimated, paths == _PATHS[1], 1),
-            changes=parameter_changes(sums, basis, _NAMES, judged=estimated),
-        ),
-        instabilities=(comparison.instability(_PATHS[1], estimated),),
-    )
+
+    residual: Floats
+    jacobian: Floats
+    covariance: Floats
+    earlier: tuple[Floats, ...] = ()
+    precision: Floats | None = None
 
 
-def _sums(fit: MagnetometerFit, t_s: Floats, known: Floats) -> ClusterSums:
-    block = np.unique(fit.blocks.block, return_inverse=True)[1]
-    _, first = np.unique(block, return_index=True)
-    jacobian, residual = fit.stage.jacobian, fit.stage.residual
-    pull = -np.add.reduceat(jacobian * residual[:, None], first)
-    information = np.add.reduceat(jacobian[:, :, None] * jacobian[:, None, :], first)
-    return ClusterSums(
-        t_s=np.bincount(block, t_s) / np.bincount(block),
-        pull=pull,
-        information=information,
-        prior_pull=-pull.sum(axis=0) if known.any() else np.zeros(len(known)),
-        prior_information=known + _OPEN * np.diag(np.diag(information.sum(axis=0))),
-    )
+def memory_s(t_s: Floats, residual: Floats) -> float:
+    """Return after how long residuals (n,) at rising times have forgotten each other [s]."""
+    cell, which, count = np.unique(np.floor((t_s - t_s[0]) / _CELLS_S), return_inverse=True, return_counts=True)
+    mean = np.bincount(which, residual) / count
+    power = float(np.mean(mean**2))
+    if power <= 0:
+        return 0.0
+    most = int(min(cell[-1] + 1, 4 * len(cell))) // 4  # after a jump of the clock most cells are empty
+    for lag in range(1, most):
+        later = np.minimum(np.searchsorted(cell, cell + lag), len(cell) - 1)
+        pairs = cell[later] == cell + lag
+        if pairs.any() and float(mean[later[pairs]] @ mean[pairs]) / pairs.sum() < _FORGOTTEN * power:
+            return (lag - 1) * _CELLS_S
+    return most * _CELLS_S
+
+
+@value_class
+class TimeBlocks:
+    """Blocks of time.
+
+    Attributes
+    ----------
+    block : (n,) of each pose
+    length_s : of a block [s]
+    memory_s : after which errors are forgotten [s]
+    """
+
+    block: Integers
+    length_s: float
+    memory_s: float
+
+    @classmethod
+    def of(cls, t_s: Floats, memory: float) -> "TimeBlocks":
+        """Return blocks of rising times (n,), three times as long as the memory unless they became too few."""
+        span = float(t_s[-1] - t_s[0]) * (1 + 1e-9)
+        length = min(max(_LONGER * memory, _SHORTEST_S), span / FEWEST_BLOCKS)
+        block = np.unique(np.floor((t_s - t_s[0]) / length), return_inverse=True)[1]  # without those that are empty
+        return cls(block=block.astype(np.int64), length_s=length, memory_s=memory)
+
+    @property
+    def long_enough(self) -> bool:
+        """Whether they are long enough."""
+        return self.length_s > (_LONGER - 0.5) * self.memory_s
+
+    @property
+    def seen(self) -> float:
+        """Share of the variance of means that blocks show: errors that straddle a border are missed."""
+        ratio = self.length_s * np.log(1 / _FORGOTTEN) / self.memory_s if self.memory_s > 0 else np.inf
+        return float(1 - (1 - np.exp(-ratio)) / ratio)
+
+
+def leave_blocks_out(stages: Sequence[Stage], block: Integers) -> Floats:
+    """Return how all parameters, stage by stage, move when each block is left out, (blocks, p + q + ...)."""
+    count = int(block.max()) + 1
+    moved: list[Floats] = []
+    for stage in stages:
+        j, r = stage.jacobian, stage.residual
+        size = np.linalg.norm(j, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        j = j / size
+        known = 0.0 if stage.precision is None else stage.precision / np.outer(size, size)
+        inner = _by_block(j[:, :, None] * j[:, None, :], block, count)
+        pull = _by_block(j * r[:, None], block, count)
+        for by, step in zip(stage.earlier, moved, strict=False):
+            cross = _by_block(j[:, :, None] * by[:, None, :], block, count)
+            pull -= np.einsum("bpq,bq->bp", cross.sum(axis=0) - cross, step)
+        rest = inner.sum(axis=0) - inner + known
+        moved.append((np.linalg.pinv(rest, rcond=1e-13, hermitian=True) @ pull[..., None])[..., 0] / size)
+    return np.concatenate(moved, axis=1)
+
+
+def block_covariance(stages: Sequence[Stage], blocks: TimeBlocks, moves: Floats) -> Floats:
+    """Return the joint covariance of all parameters.
+
+    The blocks tell the variances, none of them below that for independent errors. Correlations of many parameters they
+    tell badly, and of more parameters than blocks not at all: the fewer blocks, the more the correlations for
+    independent errors count.
+    """
+    count = len(np.unique(blocks.block[np.any([stage.residual != 0 for stage in stages], axis=0)]))
+    # A variance of few degrees of freedom is taken for larger, as Student's is.
+    student = (count - 1) / max(count - 3, 1)
+    covariance = student * (count - 1) / max(count, 1) / blocks.seen * moves.T @ moves
+    ordinary, known = _independent(stages)
+    covariance += known
+    variance = np.maximum(np.diag(covariance), np.diag(ordinary))
+    share = len(variance) / (len(variance) + count)
+    correlation = (1 - share) * _correlation(covariance) + share * _correlation(ordinary)
+    return correlation * np.sqrt(np.outer(variance, variance))
+
+
+def _independent(stages: Sequence[Stage]) -> tuple[Floats, Floats]:
+    """Return the joint covariance for independent errors, and the part of it that the prior brings."""
+    edges = np.concatenate([[0], np.cumsum([len(stage.covariance) for stage in stages])])
+    total = np.eye(edges[-1])
+    ordinary, known = np.zeros_like(total), np.zeros_like(total)
+    for k, stage in enumerate(stages):
+        at = slice(edges[k], edges[k + 1])
+        ordinary[at, at] = stage.covariance
+        if stage.precision is not None:
+            known[at, at] = stage.covariance @ stage.precision @ stage.covariance
+        for j, by in enumerate(stage.earlier):
+            total[at] -= stage.covariance @ (stage.jacobian.T @ by) @ total[edges[j] : edges[j + 1]]
+    return total @ ordinary @ total.T, total @ known @ total.T
+
+
+def _correlation(covariance: Floats) -> Floats:
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    correlation = covariance / np.outer(sigma, sigma)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def _by_block(rows: Floats, block: Integers, count: int) -> Floats:
+    flat = rows.reshape(len(rows), -1)
+    order = np.argsort(block, kind="stable")
+    sums = np.zeros((count, flat.shape[1]))
+    found, first = np.unique(block[order], return_index=True)
+    sums[found] = np.add.reduceat(flat[order], first, axis=0)
+    return sums.reshape(count, *rows.shape[1:])
+
+
+def by_direction(x: Floats, correction: Floats) -> Floats:
+    """Return the derivatives (n, 3, 12) of the directions of vectors x = correction @ (measured - bias), (n, 3).
+
+    By the entries of the sensitivity, whose inverse the correction is, in row order, and by the bias.
+    """
+    length = np.linalg.norm(x, axis=1)
+    u = x / length[:, None]
+    across = (np.eye(3) - u[:, :, None] * u[:, None, :]) @ correction / length[:, None, None]
+    by_sensitivity = (across[:, :, :, None] * x[:, None, None, :]).reshape(len(x), 3, 9)
+    return -np.concatenate([by_sensitivity, across], axis=2)

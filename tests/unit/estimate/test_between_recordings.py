@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.temperature.over_recordings import Calibrations, proven_order
-from gnomon.estimate.trust.between_recordings import RecordingBlock, join_estimates, regress_estimates
+from gnomon.estimate.trust.between_recordings import (
+    Calibrations,
+    RecordingBlock,
+    join_estimates,
+    proven_order,
+    regress_estimates,
+)
 
 DEGC = np.array([-20.0, -10.0, 0.0, 5.0, 15.0, 25.0])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import InitialisationError
-from gnomon.estimate.triads.static_g_sensitivity import RestingRates, fit_static_g_sensitivity
+from gnomon.estimate.triads.gyroscope_at_rests import RestingRates, fit_static_g_sensitivity
 
 THESIS = np.array([[-0.0012, 0.0008, 0.0015], [-0.0013, 0.0001, -0.0014], [0.0016, 0.0013, -0.0009]])
 """Krebs, appendix A.1."""

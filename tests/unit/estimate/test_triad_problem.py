@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.triads.triad_poses import TriadPoses
-from gnomon.estimate.triads.triad_rows import TriadNoiseLevels, eliminate_directions, noise_at, triad_residuals
+from gnomon.estimate.triads.triad_problem import (
+    TriadNoiseLevels,
+    TriadPoses,
+    eliminate_directions,
+    noise_at,
+    triad_residuals,
+)
 from gnomon.estimate.triads.triad_solve import TriadScaling, scaled_problem
 
 
