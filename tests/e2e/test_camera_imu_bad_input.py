@@ -27,7 +27,7 @@ from camera_imu_folder import (
     without,
 )
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.cli.output_folder import CAMERA_IMU_FILES
+from gnomon.cli.files import CAMERA_IMU_FILES
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 

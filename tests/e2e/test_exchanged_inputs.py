@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.inputs import files_beside
+from gnomon.cli.files import files_beside
 from gnomon.readers.recordings import recordings_in
 
 

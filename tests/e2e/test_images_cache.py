@@ -12,7 +12,7 @@ import pytest
 
 import recorded
 from gnomon.calibrate.steps import board_corners
-from gnomon.cli.output_folder import CAMERA_IMU_FILES
+from gnomon.cli.files import CAMERA_IMU_FILES
 
 KEPT = "the corners are those that an earlier run found in the same images"
 LOOKED = "finding the board in the images of cam0: 0 of 80"

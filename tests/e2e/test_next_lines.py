@@ -12,7 +12,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.output_folder import owner_of
+from gnomon.cli.files import owner_of
 from gnomon.report.cameras.page import NEXT as CAMERA_LINES
 from gnomon.report.page import Code
 from gnomon.report.static.page import imu_use_section

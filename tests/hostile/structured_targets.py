@@ -16,7 +16,7 @@ from camera_imu_result import make_camera_imu_result
 from cameras_example import cameras_calibration
 from cameras_result import make_cameras_result
 from gnomon.calibrate.steps.camera_reading import kept_corners
-from gnomon.cli.inputs import read_priors
+from gnomon.cli.files import read_priors
 from gnomon.findings import Finding
 from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign import as_calibration

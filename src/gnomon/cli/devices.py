@@ -15,7 +15,7 @@ from ..errors import FormatError, GnomonError, OptionError, OutputError, Recordi
 from ..fleet.entries import LibraryEntry
 from ..frozen import value_class
 from .command import CertificateFacts
-from .output_folder import ALL_RESULT_FILES, spared_inputs
+from .files import ALL_RESULT_FILES, spared_inputs
 from .terminal import Terminal
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from .command import TableOptions
-from .output_folder import RESULT_FILES
+from .files import RESULT_FILES
 from .terminal import WIDTH, Terminal
 
 if TYPE_CHECKING:
@@ -17,6 +17,18 @@ if TYPE_CHECKING:
     from ..results.calibration import Calibration
     from ..results.result import Result
     from ..results.trust import UncertaintySummary
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+from .command import StatedFacts
+
+if TYPE_CHECKING:
+    from ..assess.comparison.comparison import Comparison
+    from ..assess.comparison.verification import Verification
+    from ..options.requirements import Use
+    from ..results.calibration import Calibration
+    from ..results.result import Result
 
 
 _MOVED_K = 4.0
@@ -348,3 +360,39 @@ def engineering_text(value: float, unit: str) -> str:
         if abs(value) * factor >= 0.5 or value == 0:
             return f"{value * factor:.3g} {prefix}{unit}"
     return f"{value:.3g} {unit}"
+
+
+Certified = TypeVar("Certified", "Calibration", "Comparison", "Verification")
+
+
+def judged_result(result: "Result", use: "Use | None") -> "Result":
+    """Return a result whose calibration is judged for a use, where one is stated."""
+    if use is None:
+        return result
+    from ..calibrate.judging import judge
+
+    return replace(result, calibration=judge(result.calibration, use))
+
+
+def result_with_reading(result: "Result", table: Mapping[str, Any]) -> "Result":
+    """Return a result whose calibration remembers what was stated of its recording, such as how it was read."""
+    stated = {name: str(value) for name, value in table.items() if value is not None}
+    calibration = result.calibration
+    provenance = replace(calibration.provenance, options={**calibration.provenance.options, **stated})
+    return replace(result, calibration=replace(calibration, provenance=provenance))
+
+
+def with_statements(found: Certified, facts: StatedFacts, paths: Iterable[Path] = ()) -> Certified:
+    """Return it with what a certificate says: what was stated, and the files of the calibrations."""
+    from ..formats.own.calibration_text import calibration_at
+    from ..readers.files import file_source
+
+    stated = {name: str(value) for name, value in facts.stated.items() if value is not None}
+    inputs = list(found.provenance.inputs)
+    for path in paths:
+        file = Path(calibration_at(path))
+        if file.is_file():
+            called = f"{file.absolute().parent.name}/{file.name}" if file.name == "calibration.yaml" else file.name
+            inputs.append(replace(file_source(file), name=called))
+    made = found.provenance
+    return replace(found, provenance=replace(made, inputs=tuple(inputs), options={**made.options, **stated}))

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputError
-from .output_folder import SCENARIO, TRUTH, result_folder, truth_name
+from .files import TRUTH, file_stem, result_folder
 from .results import USABLE
 from .terminal import Terminal
 
@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..results.calibration import Calibration
 
+from collections.abc import Sequence
 
+SCENARIO = "scenario.yaml"
 OF_IMUS = ("imu.yaml", "groundtruth.txt")
 """Files beside a simulated recording of cameras and an IMU that one of cameras alone has not."""
 
@@ -100,3 +102,20 @@ def folder_document(folder: Path, names: list[Path]) -> dict[str, object]:
         "truth": str(folder / TRUTH),
         "scenario": str(folder / SCENARIO),
     }
+
+
+def truth_name(folder: Path, recordings: Sequence[str]) -> str:
+    """Return what the truth of simulated recordings is called in a folder, in which another one's truth may lie.
+
+    Parameters
+    ----------
+    recordings : names of their files; the first one names the truth where another one's is there
+
+    Examples
+    --------
+    >>> truth_name(Path("nowhere"), ["recording.npz"])
+    'truth.yaml'
+    """
+    own = f"{file_stem(recordings[0])}-{TRUTH}"
+    again = any((folder / name).exists() for name in recordings) and not (folder / own).exists()
+    return TRUTH if again or not (folder / TRUTH).exists() else own

@@ -14,7 +14,7 @@ import gnomon
 from gnomon.assess.comparison.comparison_words import block_words
 from gnomon.cli import main
 from gnomon.cli.commands.compare import read_comparison
-from gnomon.cli.inputs import sources_of
+from gnomon.cli.files import sources_of
 from gnomon.cli.terminal import json_value
 from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source

@@ -6,7 +6,7 @@ import pytest
 
 from gnomon import OutputError
 from gnomon.cli import main
-from gnomon.cli.output_folder import default_folder, result_folder
+from gnomon.cli.files import default_folder, result_folder
 
 
 def names(folder):

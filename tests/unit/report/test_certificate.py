@@ -12,7 +12,7 @@ from gnomon import save_noise
 from gnomon.assess.uncertainty_budget import gravity_part, uncertainty_budget
 from gnomon.cli import main
 from gnomon.cli.command import CertificateFacts
-from gnomon.cli.inputs import result_with_reading
+from gnomon.cli.results import result_with_reading
 from gnomon.errors import OptionError
 from gnomon.report.certificate import budget_table, certificate_tables
 from gnomon.report.certificate_pdf import page_one, write_certificate

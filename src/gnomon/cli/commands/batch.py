@@ -9,7 +9,7 @@ from ...errors import OptionError, SolveError
 from ..arguments import Argument
 from ..command import Command, output_option
 from ..devices import device_facts, find_recordings, read_device_table, recording_stem
-from ..output_folder import check_folder
+from ..files import check_folder
 from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
 

@@ -24,9 +24,17 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, refuse_overwriting, result_with_reading
-from ..output_folder import CAMERA_FILES, default_folder, result_folder
-from ..results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
+from ..files import CAMERA_FILES, default_folder, files_beside, refuse_overwriting, result_folder
+from ..results import (
+    USABLE,
+    exit_code,
+    print_assumptions,
+    print_files,
+    print_summary,
+    result_document,
+    result_with_reading,
+    write_result,
+)
 from ..simulated import OF_IMUS, check_form, folder_document, print_folder, replaces_simulated
 from ..terminal import Terminal
 

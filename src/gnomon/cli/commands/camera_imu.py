@@ -26,17 +26,26 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting, result_with_reading
-from ..output_folder import CAMERA_IMU_FILES, default_folder, result_folder
+from ..files import (
+    CAMERA_IMU_FILES,
+    default_folder,
+    files_beside,
+    read_priors,
+    read_use_option,
+    refuse_overwriting,
+    result_folder,
+)
 from ..results import (
     USABLE,
     exit_code,
+    judged_result,
     parameter_lines,
     print_assumptions,
     print_files,
     print_summary,
     propose_temperature,
     result_document,
+    result_with_reading,
     write_result,
 )
 from ..simulated import RIG_FILES, check_form, folder_document, print_folder, replaces_simulated

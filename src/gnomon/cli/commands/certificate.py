@@ -6,7 +6,7 @@ from typing import Annotated
 
 from ...errors import OptionError
 from ..command import CalibrationPath, Command, output_option
-from ..output_folder import default_folder
+from ..files import default_folder
 from ..results import UNUSABLE, USABLE
 from ..terminal import Terminal
 from . import compare, verify

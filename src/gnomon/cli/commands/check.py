@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ..command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Topics, topics_of
-from ..inputs import files_beside
+from ..files import files_beside
 from ..results import UNUSABLE, USABLE, finding_lines, print_assumptions
 from ..terminal import Terminal
 

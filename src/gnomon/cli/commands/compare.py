@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from ...errors import OptionError
 from ..arguments import Argument
 from ..command import Command, Flat, StatedFacts, output_option
-from ..inputs import sources_of, with_statements
-from ..output_folder import default_folder, owner_of, result_folder
-from ..results import UNUSABLE, USABLE, print_files, print_findings, result_files
+from ..files import default_folder, owner_of, result_folder, sources_of
+from ..results import UNUSABLE, USABLE, print_files, print_findings, result_files, with_statements
 from ..terminal import Terminal, json_value
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from ...findings import join_names
 from ...units import Units
 from ..arguments import Argument
 from ..command import Command, FileOption, Topics, output_option, topics_of
-from ..output_folder import ALL_RESULT_FILES, check_folder, owner_of
+from ..files import ALL_RESULT_FILES, check_folder, owner_of
 from ..results import USABLE, print_assumptions
 from ..terminal import Terminal
 

@@ -15,9 +15,8 @@ from ..command import (
     Report,
     output_option,
 )
-from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
-from ..output_folder import check_folder, default_folder, joined_folder, result_folder
-from ..results import print_assumptions, print_result, summary_lines, write_result
+from ..files import check_folder, default_folder, read_priors, read_use_option, result_folder
+from ..results import judged_result, print_assumptions, print_result, result_with_reading, summary_lines, write_result
 from ..terminal import Terminal
 
 if TYPE_CHECKING:
@@ -61,8 +60,7 @@ class Imu(Command):
         recordings = [known.known_of(recording) for recording in recordings]
         assumptions = _assumptions(recordings)
         print_assumptions(assumptions, terminal)  # before anything fails: they often explain why
-        folder_name = default_folder if len(recordings) == 1 else joined_folder
-        folder = self.output or folder_name(source.paths, "imu")
+        folder = self.output or default_folder(source.paths, "imu", joined=len(recordings) > 1)
         with result_folder(folder, "imu") as staging:
             options = replace(self.options, prior=known.stated)
             result = calibrate_imu(recordings, options, progress=terminal.progress, prior=known.calibrations)

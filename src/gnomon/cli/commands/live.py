@@ -11,8 +11,7 @@ from ...errors import OptionError, RecordingError
 from ...output import write_whole
 from ..arguments import Argument
 from ..command import CamFile, Command, FileOption, Flat, ForUse, Input, PosesInput, Report, TableOptions, output_option
-from ..inputs import files_beside, read_use_option
-from ..output_folder import default_folder
+from ..files import default_folder, files_beside, read_use_option
 from ..terminal import Terminal
 from .camera import NO_TARGET, CameraCommand
 from .camera_imu import CameraImu

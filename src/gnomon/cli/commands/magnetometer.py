@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 from ...options import MagnetometerOptions
 from ...simulate import FieldScenario
 from ..command import CertificateFacts, Command, Flat, ForUse, Input, Report, Seed, output_option
-from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
-from ..output_folder import default_folder, result_folder
-from ..results import common_decimals, print_assumptions, print_result, write_result
+from ..files import default_folder, read_priors, read_use_option, result_folder
+from ..results import common_decimals, judged_result, print_assumptions, print_result, result_with_reading, write_result
 from ..simulated import write_simulated
 from ..terminal import Terminal
 

@@ -12,7 +12,7 @@ from ...progress import Step
 from ...simulate.scenarios.recorded import NoiseScenario
 from ..arguments import Argument
 from ..command import Command, Flat, Input, Report, Seed, output_option
-from ..output_folder import NOISE_FILES, default_folder, result_folder
+from ..files import NOISE_FILES, default_folder, result_folder
 from ..results import (
     UNUSABLE,
     USABLE,

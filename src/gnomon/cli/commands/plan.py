@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...simulate.planned import CameraImuPlan, ImuPlan
 from ..command import CamFile, Command, FileOption, Flat, PlannedUse
-from ..inputs import read_use_option
+from ..files import read_use_option
 from ..results import UNUSABLE, USABLE, print_assumptions, print_findings
 from ..terminal import Terminal
 

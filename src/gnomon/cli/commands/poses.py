@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from ...simulate import PoseScenario
 from ..command import Command, Flat, Seed, output_option
-from ..output_folder import result_folder, truth_name
+from ..files import result_folder
 from ..results import USABLE
+from ..simulated import truth_name
 from ..terminal import Terminal
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ from ..command import (
     output_option,
     use_option,
 )
-from ..inputs import remembered_reading
-from ..output_folder import default_folder
+from ..files import default_folder
 from ..results import (
     USABLE,
     calibration_document,
@@ -31,6 +30,13 @@ from ..terminal import WIDTH, Terminal
 
 if TYPE_CHECKING:
     from ...writers.tables import ParameterRows
+
+from typing import TYPE_CHECKING, Any
+
+from ...errors import RecordingError
+
+if TYPE_CHECKING:
+    from ...results.calibration import Calibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,3 +209,26 @@ def _tables(paths: Sequence[Path], imu: str) -> Sequence[Path]:
     if imu not in files:
         raise OptionError(f"{paths[0]}: there are samples of {', '.join(files)}, and none of {imu}. Give its table.")
     return files[imu]
+
+
+def remembered_reading(calibration: "Calibration", paths: Sequence[Path]) -> dict[str, Any]:
+    """Return how a calibration's recording was read, for tables without a header, which say as little as that one did.
+
+    Nothing is returned for other recordings, which tell themselves what their columns are.
+    """
+    from ...readers.files import first_bytes
+    from ...readers.samples.text_table import has_header
+
+    options = calibration.provenance.options
+    known: dict[str, Any] = {name: options[name] for name in ("columns", "rate_hz", "units") if name in options}
+    if not known or not all(path.is_file() for path in paths):
+        return {}
+    try:
+        if any(has_header(path.name, first_bytes(path, _HEAD_BYTES)) for path in paths):
+            return {}
+    except RecordingError:  # no table of text
+        return {}
+    return known | ({"rate_hz": float(known["rate_hz"])} if "rate_hz" in known else {})
+
+
+_HEAD_BYTES = 65_536

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from ...options import ImuOptions
 from ...simulate import Scenario
 from ..command import Command, Flat, Report, Seed, output_option
-from ..output_folder import DEMO_RECORDING, RESULT_FILES, TRUTH, result_folder
+from ..files import DEMO_RECORDING, RESULT_FILES, TRUTH, result_folder
 from ..results import common_decimals, common_power, print_result, summary_lines, write_result
 from ..simulated import write_simulated
 from ..terminal import Terminal

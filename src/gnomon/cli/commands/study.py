@@ -12,7 +12,7 @@ from ...frozen import value_class
 from ...progress import as_step
 from ..arguments import Argument
 from ..command import Command, Seed, output_option
-from ..output_folder import result_folder
+from ..files import result_folder
 from ..results import USABLE
 from ..terminal import Terminal
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 from ...simulate.scenarios.temperature import TemperatureScenario
 from ..arguments import Argument
 from ..command import Command, FileOption, Flat, Report, Seed, StatedFacts, TableOptions, output_option
-from ..inputs import with_statements
-from ..output_folder import default_folder, result_folder
-from ..results import USABLE, VERDICTS, exit_code, print_files, print_findings, result_files
+from ..files import default_folder, result_folder
+from ..results import USABLE, VERDICTS, exit_code, print_files, print_findings, result_files, with_statements
 from ..terminal import Terminal
 
 if TYPE_CHECKING:

@@ -13,17 +13,19 @@ from ...simulate.scenarios.recorded import TurntableScenario
 from ...units import Units, parse_rate
 from ..arguments import Argument
 from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
-from ..inputs import judged_result, read_priors, read_use_option, result_with_reading
-from ..output_folder import default_folder, result_folder, truth_name
+from ..files import default_folder, read_priors, read_use_option, result_folder
 from ..results import (
     USABLE,
     common_decimals,
     finding_lines,
+    judged_result,
     print_assumptions,
     print_result,
+    result_with_reading,
     summary_lines,
     write_result,
 )
+from ..simulated import truth_name
 from ..terminal import Terminal
 
 if TYPE_CHECKING:

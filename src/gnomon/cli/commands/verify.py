@@ -20,9 +20,8 @@ from ..command import (
     output_option,
     topics_of,
 )
-from ..inputs import files_beside, read_use_option, sources_of, with_statements
-from ..output_folder import default_folder, result_folder
-from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
+from ..files import default_folder, files_beside, read_use_option, result_folder, sources_of
+from ..results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files, with_statements
 from ..terminal import Terminal, json_value
 
 if TYPE_CHECKING:
