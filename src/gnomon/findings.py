@@ -156,3 +156,16 @@ def list_first(names: Sequence[str], most: int = 6, between: str = ", ") -> str:
     """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return between.join(names[:most]) + more
+
+
+def share_words(share: float) -> str:
+    """Return a share of one in percent; only the whole is 100 %, and only nothing is 0 %.
+
+    Examples
+    --------
+    >>> share_words(0.997), share_words(1.0), share_words(0.43), share_words(0.002)
+    ('> 99 %', '100 %', '43 %', '< 1 %')
+    """
+    if 0.995 <= share < 1:
+        return "> 99 %"
+    return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"

@@ -4,7 +4,7 @@ Recordings come from anywhere, and people work in their folders. Python looks fo
 first, with `-m`, with `-c`, and so wherever `multiprocessing` starts a process: a file pickle.py beside the images
 would be run.
 
-Work on a stream of items, a few of which are worked on at the same time, and work that is done in one thread.
+Work on a stream of items, a few of which are worked on at the same time.
 """
 
 import os
@@ -12,7 +12,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -32,18 +32,6 @@ def results_ahead(work: Callable[[Item], Result], items: Iterable[Item]) -> Iter
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
-
-
-_OF_BLAS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Return the context in which BLAS works in one thread: of many small products more get in each other's way."""
-    if all(os.environ.get(name) == "1" for name in _OF_BLAS):  # as the program `gnomon` has it
-        return nullcontext()
-    from threadpoolctl import threadpool_limits
-
-    return threadpool_limits(1, user_api="blas")
 
 
 _SAFE = "PYTHONSAFEPATH"

@@ -160,16 +160,3 @@ def parse_rate(text: str) -> float:
     if rate_rad_s > FASTEST_RAD_S:
         raise OptionError(f'rate "{text}": no platter turns by more than {FASTEST_RAD_S:g} rad/s. {expected}')
     return rate_rad_s
-
-
-def share_words(share: float) -> str:
-    """Return a share of one in percent; only the whole is 100 %, and only nothing is 0 %.
-
-    Examples
-    --------
-    >>> share_words(0.997), share_words(1.0), share_words(0.43), share_words(0.002)
-    ('> 99 %', '100 %', '43 %', '< 1 %')
-    """
-    if 0.995 <= share < 1:
-        return "> 99 %"
-    return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"

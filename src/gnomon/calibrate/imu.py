@@ -36,9 +36,9 @@ from ..estimate.trust.changes import estimates_are_judged, look_or_postpone
 from ..estimate.trust.parts import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
+from ..kernel import one_blas_thread
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
-from ..processes import one_blas_thread
 from ..progress import Progress
 from ..recording import Floats, Recording
 from ..recording.thermometer import temperature_course

@@ -26,8 +26,8 @@ from ..estimate.allan.deviation import KINDS, AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
 from ..estimate.allan.patterns import HighPass, longest_unfiltered_s
 from ..findings import Finding, make_finding
+from ..kernel import one_blas_thread
 from ..options import NoiseOptions
-from ..processes import one_blas_thread
 from ..progress import Progress
 from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source, recording_files

@@ -27,8 +27,8 @@ from ..estimate.temperature.bias_drift import (
 )
 from ..findings import Finding
 from ..frozen import value_class
+from ..kernel import one_blas_thread
 from ..options import ImuOptions
-from ..processes import one_blas_thread
 from ..progress import Progress
 from ..recording import Floats, ImuSamples, Recording, Source
 from ..recording.thermometer import temperature_course

@@ -1,4 +1,4 @@
-"""The innermost loops, compiled where a C compiler was found at installation; `kernel.c` says what they do.
+"""The innermost loops, compiled where a C compiler was found at installation (`kernel.c` says what they do), and threads.
 
 Everything works without it, more slowly. GNOMON_KERNEL=0 in the environment switches it off.
 """
@@ -6,6 +6,7 @@ Everything works without it, more slowly. GNOMON_KERNEL=0 in the environment swi
 import ctypes
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
 
@@ -49,3 +50,15 @@ def load_kernel() -> ctypes.CDLL | None:
 def describe_kernel() -> str:
     """Return in words whether the compiled loops are used."""
     return "compiled kernel" if load_kernel() is not None else "NumPy only, no compiled kernel"
+
+
+_OF_BLAS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Return the context in which BLAS works in one thread: of many small products more get in each other's way."""
+    if all(os.environ.get(name) == "1" for name in _OF_BLAS):  # as the program `gnomon` has it
+        return nullcontext()
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(1, user_api="blas")

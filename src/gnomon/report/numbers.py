@@ -5,8 +5,8 @@ from math import ceil, floor, isfinite, log10
 
 import numpy as np
 
+from ..findings import share_words
 from ..recording import Floats
-from ..units import share_words
 
 MISSING = "–"
 """Shown where there is no number."""

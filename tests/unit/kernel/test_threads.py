@@ -3,7 +3,7 @@
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gnomon.processes import one_blas_thread
+from gnomon.kernel import one_blas_thread
 
 
 def test_blas_works_in_one_thread_unless_the_environment_says_so_already(monkeypatch: pytest.MonkeyPatch) -> None:
