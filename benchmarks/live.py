@@ -39,9 +39,9 @@ from live_cameras import GREY, STATISTICS, views_of
 
 import gnomon
 from gnomon.assess.needs import needs_of_use
+from gnomon.live.coach import NoiseCoach
 from gnomon.live.hand import SimulatedHand, imu_sentence
 from gnomon.live.image_sources import ImageArrival, ImageSource
-from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.prospect import look_ahead
 from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
 from gnomon.live.session import LOOK_S, LiveSession

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.commands.poses import join_poses, pose_averages
+from gnomon.cli.commands.simulated_imu import join_poses, pose_averages
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.recording import ImuSamples, Piece, Poses, Recording, TriadSamples
 from gnomon.simulate import PoseScenario, simulate_poses

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.commands.poses import join_poses, pose_averages
+from gnomon.cli.commands.simulated_imu import join_poses, pose_averages
 from gnomon.recording import Recording
 from gnomon.results.calibration import Covariance, covariance_names
 from gnomon.simulate import PoseScenario, simulate_poses

@@ -7,6 +7,7 @@ from math import degrees, hypot, isclose, isfinite
 import numpy as np
 from rich.table import Table
 
+from ..findings import share_words
 from ..formats.shared.entries import baseline_of, camera_entries, value_text
 from ..models.camera import knows_lens
 from ..models.frames import AXES
@@ -15,7 +16,6 @@ from ..recording import Floats
 from ..results.calibration import Calibration, CamerasFit
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from ..results.result import Result
-from ..units import share_words
 from .results import common_decimals, gravity_lines
 
 

@@ -255,7 +255,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "use": {
         "show": ("show.Show", "a calibration as tables with standard deviations"),
-        "certificate": ("certificate.Certificate", "page one of a result's report as a PDF"),
+        "certificate": ("show.Certificate", "page one of a result's report as a PDF"),
         "apply": ("show.Apply", "correct a recording with a calibration"),
         "convert": ("convert.Convert", "write a calibration or recording in another format"),
         "compare": ("compare.Compare", "calibrations of one rig, made by any program"),
@@ -266,7 +266,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "try": {
         "demo": ("simulated_imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
         "simulate imu": ("simulated_imu.Simulate", "a recording by hand, and its truth"),
-        "simulate poses": ("poses.SimulatePoses", "one static attitude after another"),
+        "simulate poses": ("simulated_imu.SimulatePoses", "one static attitude after another"),
         "simulate turntable": ("turntable.SimulateTurntable", "recordings on a turntable"),
         "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),
         "simulate magnetometer": ("magnetometer.SimulateMagnetometer", "a magnetometer turned by hand"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError, OutputError, RecordingError
 from ..models.lens_names import PROGRAMS
-from ..output import files_together, put_in_place, refuse_input, spare_inputs
+from ..output import files_together, put_in_place, refuse_input, refuse_special, spare_inputs
 from .arguments import Entry, command_entries
 from .command import Command
 
@@ -433,8 +433,6 @@ def spared_inputs(command: Command) -> Generator[None]:
     OutputError
         If the file to write is an input, or lies in a folder that is one.
     """
-    from ..output import refuse_special
-
     inputs = _inputs(command)
     for path in inputs:
         refuse_special(path)

@@ -1,4 +1,4 @@
-"""The innermost loops, compiled where a C compiler was found at installation (`kernel.c` says what they do), and threads.
+"""The innermost loops, compiled where a C compiler was there at installation (see `kernel.c`), and the one BLAS thread.
 
 Everything works without it, more slowly. GNOMON_KERNEL=0 in the environment switches it off.
 """

@@ -24,7 +24,6 @@ from ..results.calibration import (
 )
 from ..results.result import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 from ..results.sensors import element_units
-from ..units import share_words
 
 if TYPE_CHECKING:
     from ..assess.comparison.comparison import Comparison

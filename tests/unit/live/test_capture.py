@@ -12,9 +12,8 @@ import pytest
 import gnomon
 from gnomon.assess.needs import needs_of_use
 from gnomon.errors import OutputError
-from gnomon.live.coach import words_of_attitude
+from gnomon.live.coach import MagnetometerCoach, NoiseCoach, words_of_attitude
 from gnomon.live.hand import SimulatedHand, imu_sentence
-from gnomon.live.other_coaches import MagnetometerCoach, NoiseCoach
 from gnomon.live.recorder import Recorder
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import LiveSource
@@ -229,7 +228,7 @@ KILLED = """
 import sys, time
 from pathlib import Path
 from gnomon.live.hand import SimulatedHand
-from gnomon.live.other_coaches import MagnetometerCoach, NoiseCoach
+from gnomon.live.coach import MagnetometerCoach, NoiseCoach
 from gnomon.live.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]))
 for k, line in enumerate(SimulatedHand(1).sample_lines()):

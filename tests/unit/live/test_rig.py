@@ -8,11 +8,10 @@ import pytest
 
 from gnomon.errors import OptionError
 from gnomon.live.board_coach import speed_of_corners
-from gnomon.live.coach import Coach
+from gnomon.live.coach import Coach, NoiseCoach
 from gnomon.live.faults import Fault
 from gnomon.live.hand import imu_sentence
 from gnomon.live.image_sources import CameraSource, ImageArrival, ImageSource, open_rig_sources
-from gnomon.live.other_coaches import NoiseCoach
 from gnomon.live.rig_session import MotionCoach, RigCoach, RigSession
 from gnomon.live.sources import LiveSource, PushSource
 from gnomon.live.trials import TrialOutcome, Trials, check_setup

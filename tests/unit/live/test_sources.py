@@ -16,8 +16,8 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
+from gnomon.live.coach import MagnetometerCoach
 from gnomon.live.hand import SimulatedHand
-from gnomon.live.other_coaches import MagnetometerCoach
 from gnomon.live.session import LiveSession
 from gnomon.live.sources import Pace, PushSource, open_source
 from gnomon.options.requirements import USES

@@ -102,8 +102,7 @@ class Live(Command):
                 page.show_result(default_folder((self.output,), self.what) / "report.html")
 
     def _open_samples(self) -> "LiveSession":
-        from ...live.coach import Coach
-        from ...live.other_coaches import MagnetometerCoach, NoiseCoach
+        from ...live.coach import Coach, MagnetometerCoach, NoiseCoach
         from ...live.session import LiveSession
         from ...live.sources import open_source
         from ...options.requirements import GENERAL_IMU
