@@ -132,7 +132,9 @@ def test_baseline_of_two_cameras(tmp_path, solver):
 
 def test_basic_model_hides_what_is_ideal(simulated, tmp_path, monkeypatch, camera_imu_case):
     monkeypatch.setattr(
-        "gnomon.calibrate.camera_imu.calibrate_camera_imu", lambda *_, **__: camera_imu_case(model="basic")[0], raising=False
+        "gnomon.calibrate.camera_imu.calibrate_camera_imu",
+        lambda *_, **__: camera_imu_case(model="basic")[0],
+        raising=False,
     )
     code, out, _ = run("camera-imu", simulated, "-o", tmp_path / "out", "--no-report", "--model", "basic")
     assert code == 0
@@ -183,7 +185,9 @@ def test_options_reach_the_solver(simulated, tmp_path, solver):
 
 def test_a_report_compares_with_the_basic_model(simulated, tmp_path, solver, monkeypatch):
     written = []
-    monkeypatch.setattr("gnomon.report.page.write_report", lambda result, path: written.append(path.write_text("report")))
+    monkeypatch.setattr(
+        "gnomon.report.page.write_report", lambda result, path: written.append(path.write_text("report"))
+    )
     code, out, _ = run("camera-imu", simulated, "-o", tmp_path / "out")
     assert code == 0
     assert len(written) == 1
