@@ -12,7 +12,6 @@ from ..models.forms import in_own_axes
 from ..recording import Floats
 from ..results.calibration import Calibration
 from ..units import STANDARD_GRAVITY_M_S2
-from .cameras.lens import field_of_view, focal_at_axis
 from .drawing.figures import AXES
 from .numbers import MISSING, estimate_text, fixed_text, number_text
 from .page import Parameter, ParameterGroup, ReportTable, parameter_line, with_bars
@@ -344,6 +343,8 @@ def _baseline(calibration: Calibration, to: str, source: str) -> tuple[Floats, F
 
 def lens_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
     """Return the parameters of a lens, what they mean beside them."""
+    from .cameras.lens import field_of_view, focal_at_axis  # loaded where there is a camera
+
     camera = calibration.cameras[name].camera
     width, height = camera.resolution
     middle = ((width - 1) / 2, (height - 1) / 2)
