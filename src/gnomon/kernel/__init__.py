@@ -10,12 +10,20 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
 
-_INTERFACE = 10  # of kernel.c, which `library` is written for
+_INTERFACE = 11  # of kernel.c, which `library` is written for
 
 
 _LOOPS = (
     *("inertial_rows", "inertial_sums", "corner_sums", "add_spans", "gather_tied", "integrate_rates"),
-    *("allan_short", "allan_long", "descend_corners", "fit_homography", "undo_png_filters", "join_columns"),
+    *(
+        "allan_short",
+        "allan_long",
+        "descend_corners",
+        "fit_homography",
+        "undo_png_filters",
+        "join_columns",
+        "read_table",
+    ),
 )
 
 
@@ -36,7 +44,8 @@ def _library() -> ctypes.CDLL | None:
             return None
         for name in _LOOPS:
             found[f"gnomon_{name}"].restype = None
-        found.gnomon_undo_png_filters.restype = found.gnomon_join_columns.restype = ctypes.c_int64
+        for name in ("undo_png_filters", "join_columns", "read_table"):
+            found[f"gnomon_{name}"].restype = ctypes.c_int64
     except (OSError, AttributeError):  # of another processor, damaged, of another version
         return None
     return found

@@ -37,7 +37,7 @@
 #define INLINE static inline
 #endif
 
-#define INTERFACE 10 /* changes whenever the arguments of a function do */
+#define INTERFACE 11 /* changes whenever the arguments of a function do */
 #define ORDER 16    /* of a spline, at most */
 #define WIDTH 64    /* columns of a corner, at most */
 
@@ -1449,7 +1449,7 @@ EXPORT int64_t gnomon_undo_png_filters(int64_t height, int64_t width, const uint
     return 0;
 }
 
-/* tables (writers/apply.py) */
+/* tables (writers/apply.py, readers/samples/text_table.py) */
 
 /* Writes lines of a table, of the JSON texts [1,2] and [[3,4],[5,6]]: 1,3,4 and 2,5,6. Returns how many bytes. */
 EXPORT int64_t gnomon_join_columns(const char *first, const char *others, char *lines) {
@@ -1462,4 +1462,69 @@ EXPORT int64_t gnomon_join_columns(const char *first, const char *others, char *
         if (*++others == ',') others++;
     }
     return out - lines;
+}
+
+#define EXACT (1ULL << 53) /* doubles hold all whole numbers up to here, and 10^k up to k = 22 */
+static const double TENS[] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,  1e8,  1e9,  1e10, 1e11,
+                              1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
+
+/* Reads a decimal number into 8 bytes, a whole one as an integer; NULL where it is none, or needs more digits than are
+   exact: so one division or product rounds it to the nearest double. Returns where it ends. */
+INLINE const char *read_number(const char *at, int whole, void *value) {
+    int negative = *at == '-', digits = 0, tens = 0, power = 0;
+    uint64_t number = 0;
+    if (*at == '-' || *at == '+') at++;
+    for (; *at >= '0' && *at <= '9'; at++, digits++) number = 10 * number + (uint64_t)(*at - '0');
+    if (whole) {
+        int64_t found = negative ? -(int64_t)number : (int64_t)number;
+        memcpy(value, &found, 8);
+        return digits && digits < 19 + (number >> 63 == 0) ? at : NULL;
+    }
+    if (*at == '.')
+        for (at++; *at >= '0' && *at <= '9'; at++, digits++, tens--) number = 10 * number + (uint64_t)(*at - '0');
+    if (!digits || digits > 19 || number > EXACT) return NULL;
+    if (*at == 'e' || *at == 'E') {
+        int down = *++at == '-';
+        if (*at == '-' || *at == '+') at++;
+        const char *first = at;
+        for (; *at >= '0' && *at <= '9' && at - first < 4; at++) power = 10 * power + (*at - '0');
+        if (at == first) return NULL;
+        tens += down ? -power : power;
+    }
+    if (tens < -22 || tens > 22) return NULL;
+    double found = tens < 0 ? (double)number / TENS[-tens] : (double)number * TENS[tens];
+    if (negative) found = -found;
+    memcpy(value, &found, 8);
+    return at;
+}
+
+INLINE const char *skip_spaces(const char *at, int64_t between) {
+    while (*at == ' ' || (*at == '\t' && between != '\t')) at++;
+    return at;
+}
+
+/* Reads lines of numbers, as many in each, apart by a byte, or by white space where that is ' '; the text ends with a
+   zero byte. Those of a column that is `whole` are integers. Returns how many lines; -1 where one is anything else. */
+EXPORT int64_t gnomon_read_table(const char *text, int64_t between, int64_t columns, const uint8_t *whole,
+                                 double *values) {
+    int64_t lines = 0;
+    for (const char *at = text; *at;) {
+        if (*at == '\n') {
+            at++;
+            continue;
+        }
+        for (int64_t k = 0; k < columns; k++) {
+            const char *begin = at;
+            at = skip_spaces(at, between);
+            if (k && between == ' ' && at == begin) return -1;
+            if (k && between != ' ' && *at++ != between) return -1;
+            at = read_number(skip_spaces(at, between), whole[k], values++);
+            if (!at) return -1;
+        }
+        at = skip_spaces(at, between);
+        if (*at == '\r') at++;
+        if (*at && *at++ != '\n') return -1;
+        lines++;
+    }
+    return lines;
 }

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -366,3 +367,26 @@ def join_columns(first: bytes, others: bytes) -> memoryview:
     assert library is not None
     lines = np.empty(len(first) + len(others), dtype=np.uint8)
     return lines[: library.gnomon_join_columns(ctypes.c_char_p(first), ctypes.c_char_p(others), _out(lines))].data
+
+
+def read_plain_numbers(text: bytes, delimiter: str | None, whole: Sequence[bool]) -> list[NDArray[Any]] | None:
+    """Return the columns of a table of plain numbers; None where it is anything else, or needs more digits than 2^53.
+
+    Parameters
+    ----------
+    delimiter : one character; None is any white space
+    whole : of each column, whether its numbers are integers
+    """
+    library = load_kernel()
+    assert library is not None
+    if not text or b"\0" in text:
+        return None
+    values = np.empty((text.count(b"\n") + 1, len(whole)))
+    count = library.gnomon_read_table(
+        *(ctypes.c_char_p(text), _long(ord(delimiter or " ")), _long(len(whole))),
+        *(_at(np.array(whole, dtype=np.uint8)), _out(values)),
+    )
+    if count < 1:
+        return None
+    columns = np.ascontiguousarray(values[:count].T)
+    return [column.view(np.int64) if one else column for column, one in zip(columns, whole, strict=True)]

@@ -1,6 +1,7 @@
 """Numbers in text: how a table is written (delimiter, header, preamble), what is a log, and columns, parsed fast.
 
-Tables of plain numbers, read by the parser of a JSON library: about twice as fast as NumPy's reader of text.
+Tables of plain numbers are read by the compiled kernel, or where it is missing, or where numbers have more digits than
+it rounds exactly, by the parser of a JSON library: about three times and twice as fast as NumPy's reader of text.
 """
 
 import io
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...frozen import value_class
+from ...kernel import load_kernel
+from ...kernel.library import read_plain_numbers
 from ...progress import tell_read
 from ...recording import Floats, Integers, Source, measurable_numbers
 from ..files import TextFile
@@ -40,9 +43,14 @@ def parse_number_table(
     kinds : "f8" or "i8", one for each column
     name : of the file, to tell how far it is read
     """
-    if delimiter not in {",", ";", "\t"} or not set(kinds) <= {"f8", "i8"}:
+    if not set(kinds) <= {"f8", "i8"}:
         return None
     table = data[offset:]
+    columns = (
+        read_plain_numbers(table, delimiter, [kind == "i8" for kind in kinds]) if load_kernel() is not None else None
+    )
+    if columns is not None or delimiter not in {",", ";", "\t"}:
+        return columns
     if delimiter != ",":
         if b"," in table:
             return None
