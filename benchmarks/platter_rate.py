@@ -24,7 +24,7 @@ from gnomon.readers.images.camera_places import video_place
 from gnomon.readers.images.video import video_stream
 from gnomon.readers.recordings import ReadLog
 from gnomon.simulate.images.platter_video import simulate_platter_video
-from gnomon.simulate.scenarios.platter import PlatterScenario
+from gnomon.simulate.scenarios.turntable import PlatterScenario
 from gnomon.units import Units
 from gnomon.writers.video import save_video
 

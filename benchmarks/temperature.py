@@ -15,7 +15,7 @@ import numpy as np
 
 import gnomon
 from gnomon.results.temperature_dependence import TemperatureDependence
-from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.scenarios.recorded import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.study.temperature import METHODS, TemperatureTask, draw_scenario, run_temperature
 

@@ -31,11 +31,11 @@ import numpy as np
 
 import gnomon
 from gnomon.calibrate.steps import landmark_map
-from gnomon.detect.landmarks.tracks import PointTracks
+from gnomon.detect.tracks import PointTracks
 from gnomon.errors import GnomonError
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.simulate import RoomScenario, camera_imu_path, simulate_camera_imu
-from gnomon.study import circuit_rig
+from gnomon.study import circuit_walk
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 USUAL = RoomScenario(imu="thesis", gyroscope_random_walk=2e-4, random_extrinsics=True)
@@ -259,8 +259,8 @@ def _turned(motion, factor, place, seed):
     recording, target = simulation.recording, simulation.target
     if place == "room":
         rng = np.random.default_rng((seed, 2))
-        points = circuit_rig._room(rng) + np.array([0.0, 0.0, rig.distance_m])
-        recording = replace(recording, cameras={"cam0": circuit_rig._seen_room(simulation, points, rng)})
+        points = circuit_walk._room(rng) + np.array([0.0, 0.0, rig.distance_m])
+        recording = replace(recording, cameras={"cam0": circuit_walk._seen_room(simulation, points, rng)})
         target = gnomon.Target.landmarks(points + 0.02 * rng.standard_normal(points.shape))
     try:
         result = gnomon.calibrate_camera_imu(recording, target, gnomon.CameraImuOptions(model="full"))
@@ -274,10 +274,10 @@ def check_lenses(first, count):
     """Print errors over sigmas of lenses that are known by a covariance, and estimated along in a projected room."""
     every = []
     for seed in range(first, first + count):
-        simulation = simulate_camera_imu(replace(circuit_rig.RECORDING, motion="around"), seed)
+        simulation = simulate_camera_imu(replace(circuit_walk.RECORDING, motion="around"), seed)
         rng = np.random.default_rng((seed, 2))
-        points = circuit_rig._room(rng) + np.array([0.0, 0.0, simulation.scenario.distance_m])
-        frames = circuit_rig._seen_room(simulation, points, rng)
+        points = circuit_walk._room(rng) + np.array([0.0, 0.0, simulation.scenario.distance_m])
+        frames = circuit_walk._seen_room(simulation, points, rng)
         lens = frames.camera
         sigma = np.concatenate([[0.5, 0.5, 0.4, 0.4], np.full(len(lens.distortion_coeffs), 1e-3)])
         prior = np.diag(sigma**2)

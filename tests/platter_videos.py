@@ -2,7 +2,7 @@
 
 from math import pi
 
-from gnomon.simulate.scenarios.platter import PlatterScenario
+from gnomon.simulate.scenarios.turntable import PlatterScenario
 
 RPM = 2 * pi / 60
 SMALL = {"width": 200, "height": 150, "noise_grey": 4.0}

@@ -10,7 +10,7 @@ import pytest
 
 from gnomon.study.krebs import study_krebs
 from gnomon.study.krebs_claims import krebs_claims
-from gnomon.study.krebs_thesis import group_columns
+from gnomon.study.krebs_run import group_columns
 from gnomon.study.runs import Workers
 
 OPEN = ("of the same size", "mean lies on the true value")

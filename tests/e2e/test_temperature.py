@@ -10,7 +10,7 @@ import pytest
 import gnomon
 from gnomon.recording import TemperatureSamples
 from gnomon.simulate import Scenario, simulate
-from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.scenarios.recorded import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 from gnomon.writers.recording_file import save_recording
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gnomon.detect.corners.corner_fit import _columns, _crossing_or_tip, _frame, _normal_equations
-from gnomon.detect.corners.corner_windows import Windows
+from gnomon.detect.boards.corner_fit import _columns, _crossing_or_tip, _frame, _normal_equations
+from gnomon.detect.boards.corner_windows import Windows
 
 _SIDE = 9
 

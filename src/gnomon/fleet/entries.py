@@ -1,17 +1,26 @@
-"""What the library keeps of a calibration, and the calibrations of a line as arrays."""
+"""What the library keeps of a calibration, in which tables, and the calibrations of a line as arrays or one table."""
 
+import csv
 import hashlib
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
-from typing import Any, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ..errors import FormatError, OptionError, install_line
 from ..frozen import value_class
+from ..output import write_whole
 from ..recording import Floats
+from ..recording.samples import make_dataframe
 from ..results.calibration import Calibration
 from ..results.sensors import calibration_parameters, element_units
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection
 
 
 @value_class
@@ -188,3 +197,150 @@ def line_table(entries: Sequence[LibraryEntry]) -> LineTable:
         values=values[:, used],
         sigmas=sigmas[:, used],
     )
+
+
+try:
+    from sqlalchemy import Column, Float, ForeignKey, Index, Integer, LargeBinary, MetaData, String, Table, Text
+    from sqlalchemy import inspect as inspect_database
+except ImportError as error:
+    raise OptionError(f"a library needs SQLAlchemy. Run: {install_line('gnomon[fleet]')}") from error
+
+_META = MetaData()
+VERSION = Table("gnomon_library", _META, Column("version", Integer, nullable=False))
+LAYOUTS = Table(
+    "layouts",
+    _META,
+    Column("id", Integer, primary_key=True),
+    Column("digest", String(64), unique=True, nullable=False),
+    Column("names", Text, nullable=False),
+    Column("units", Text, nullable=False),
+)
+"""Names and units of scalars, which are the same for many calibrations; JSON."""
+CALIBRATIONS = Table(
+    "calibrations",
+    _META,
+    Column("id", Integer, primary_key=True),
+    Column("key", String(64), unique=True, nullable=False),
+    *(
+        Column(name, Text, nullable=False)
+        for name in ("serial", "measured", "station", "operator", "kind", "verdict", "use", "version", "folder")
+    ),
+    Column("temperature_c", Float(53)),
+    Column("gravity", Float(53), nullable=False),
+    Column("inputs", Text, nullable=False),
+    Column("findings", Text, nullable=False),
+    Column("layout", ForeignKey(LAYOUTS.c.id), nullable=False),
+    Column("values", LargeBinary, nullable=False),
+    Column("sigmas", LargeBinary, nullable=False),
+    Index("by_serial", "serial", "measured"),
+    BY_DATE := Index("by_date", "measured", "id"),
+)
+DETAILS = Table(
+    "details",
+    _META,
+    Column("calibration", ForeignKey(CALIBRATIONS.c.id), primary_key=True),
+    Column("covariance", LargeBinary, nullable=False),
+    Column("needs", Text, nullable=False),
+)
+"""What few are asked for: indices of the scalars and the lower triangle of their covariance; what the use needs."""
+RUNS = Table("runs", _META, Column("key", String(64), primary_key=True), Column("record", Text, nullable=False))
+"""What `batch` has done."""
+
+
+def _make_tables(connection: "Connection") -> None:
+    _META.create_all(connection)
+
+
+def _index_dates(connection: "Connection") -> None:
+    BY_DATE.create(connection, checkfirst=True)  # a new library has it from its first step
+
+
+MIGRATIONS: Sequence[Callable[["Connection"], None]] = (_make_tables, _index_dates)
+"""Step k makes version k + 1 of version k; a library states the version that it has."""
+
+
+def needs_migration(connection: "Connection", place: str) -> bool:
+    """Tell whether a library is older than this gnomon, or not made yet; nothing is written.
+
+    Raises
+    ------
+    FormatError
+        If a newer gnomon made it, or the database is something else's.
+    """
+    version = _version(connection)
+    if version == 0 and set(inspect_database(connection).get_table_names()) & set(_META.tables) - {VERSION.name}:
+        raise FormatError(f"{place}: this database is no library of gnomon. Name another.")
+    if version > len(MIGRATIONS):
+        raise FormatError(
+            f"{place}: this library has version {version}, and this gnomon knows {len(MIGRATIONS)}. Update gnomon."
+        )
+    return version < len(MIGRATIONS)
+
+
+def migrate_schema(connection: "Connection") -> None:
+    """Bring a library up to date within the transaction of a writer, unless another one just did."""
+    version = _version(connection)
+    if version >= len(MIGRATIONS):
+        return
+    for step in MIGRATIONS[version:]:
+        step(connection)
+    connection.execute(VERSION.delete())
+    connection.execute(VERSION.insert().values(version=len(MIGRATIONS)))
+
+
+def _version(connection: "Connection") -> int:
+    """Return the version of a library, 0 where there is none."""
+    known = VERSION.name in inspect_database(connection).get_table_names()
+    return (connection.scalar(VERSION.select()) or 0) if known else 0
+
+
+_FACTS = (
+    "serial", "measured", "kind", "verdict", "use", "station", "operator", "temperature_c", "version", "gravity",
+)  # fmt: skip
+
+
+def export_table(entries: Iterable[LibraryEntry], path: Path) -> int:
+    """Write calibrations as CSV or Parquet, by the ending of the path, and return how many there are.
+
+    A scalar that a calibration did not estimate is empty; sigmas are those by which devices are compared.
+
+    Raises
+    ------
+    OptionError
+        If the ending is another one, or pandas or pyarrow are missing for Parquet.
+    OutputError
+        If the file cannot be written.
+    """
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise OptionError(f"{path}: name a file .csv or .parquet.")
+    every = list(entries)
+    names = list(dict.fromkeys(name for layout in {entry.names for entry in every} for name in layout))
+    columns: dict[str, list[object]] = {fact: [getattr(entry, fact) for entry in every] for fact in _FACTS}
+    columns |= {f"{name}{suffix}": [None] * len(every) for name in names for suffix in ("", "_sigma")}
+    for row, entry in enumerate(every):
+        for name, value, sigma in zip(entry.names, entry.values.tolist(), entry.sigmas.tolist(), strict=True):
+            columns[name][row], columns[f"{name}_sigma"][row] = value, sigma
+    write_whole(path, _csv(columns) if path.suffix.lower() == ".csv" else _parquet(columns))
+    return len(every)
+
+
+def _csv(columns: dict[str, list[object]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_inert(cell) for cell in row] for row in zip(*columns.values(), strict=True))
+    return text.getvalue()
+
+
+def _inert(cell: object) -> object:
+    """Return a text that no spreadsheet takes for a formula; a serial number may begin with =."""
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
+
+
+def _parquet(columns: dict[str, list[object]]) -> bytes:
+    stream = io.BytesIO()
+    try:
+        make_dataframe(columns).to_parquet(stream)
+    except (ImportError, AttributeError) as error:
+        raise OptionError(f"Parquet needs pandas and pyarrow. Run: {install_line('pandas', 'pyarrow')}") from error
+    return stream.getvalue()

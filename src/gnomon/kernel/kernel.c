@@ -1130,7 +1130,7 @@ FUSED CLONES EXPORT void gnomon_allan_long(int64_t n, const double *const *y, do
     }
 }
 
-/* fits of corners (detect/corners/corner_fit.py), in single precision pixel by pixel, as there */
+/* fits of corners (detect/boards/corner_fit.py), in single precision pixel by pixel, as there */
 
 #define CORNER 9    /* parameters of a corner: place, angles, blurs, correlation, mean and half difference of the greys */
 #define PIXELS 512  /* of a window, at most, a multiple of EACH */

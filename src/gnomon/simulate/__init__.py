@@ -8,12 +8,13 @@ if TYPE_CHECKING:
     from ..results.calibration import Calibration
     from .camera_imu import simulate_camera_imu
     from .cameras import simulate_cameras
+    from .imu import simulate_poses
     from .magnetometer import simulate_magnetometer
     from .planned import CameraImuPlan, ImuPlan
-    from .poses import simulate_poses
     from .scenarios.camera_imu import CameraImuScenario, RoomScenario
     from .scenarios.cameras import CamerasScenario
-    from .scenarios.recorded import FieldScenario, PoseScenario, Scenario, TurntableScenario
+    from .scenarios.recorded import FieldScenario, PoseScenario, Scenario
+    from .scenarios.turntable import TurntableScenario
     from .turntable import simulate_turntable
 
 _HOMES = {
@@ -25,7 +26,8 @@ _HOMES = {
     "PoseScenario": "scenarios.recorded",
     "RoomScenario": "scenarios.camera_imu",
     "Scenario": "scenarios.recorded",
-    "TurntableScenario": "scenarios.recorded",
+    "TurntableScenario": "scenarios.turntable",
+    "simulate_poses": "imu",
 }
 
 __all__ = [

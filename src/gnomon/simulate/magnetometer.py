@@ -19,8 +19,7 @@ from ..results.calibration import (
 from ..results.moved import rotate_imu
 from ..results.temperature_dependence import TemperatureDependence
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
-from .scenarios.recorded import FieldScenario, Scenario
-from .scenarios.temperature import TemperatureScenario
+from .scenarios.recorded import FieldScenario, Scenario, TemperatureScenario
 from .sensor import Converter, drawn_imu, sensor_converters, true_calibration
 from .temperature import thermometer_readings, warm_up_share
 

@@ -10,8 +10,7 @@ from ..recording import Floats, ImuSamples, Integers, Recording, TemperatureSamp
 from ..results.sensors import ImuCalibration
 from ..results.temperature_dependence import TemperatureDependence
 from .imu import simulate_imu
-from .scenarios.recorded import NoiseScenario, Scenario
-from .scenarios.temperature import TemperatureScenario
+from .scenarios.recorded import NoiseScenario, Scenario, TemperatureScenario
 from .sensor import noise_blocks
 
 _MARGIN_K = 5.0

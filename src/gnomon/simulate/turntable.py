@@ -11,8 +11,9 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
 from ..results.moved import rotate_imu
-from .poses import rest_directions
-from .scenarios.recorded import PoseScenario, Scenario, TurntableScenario
+from .imu import rest_directions
+from .scenarios.recorded import PoseScenario, Scenario
+from .scenarios.turntable import TurntableScenario
 from .sensor import drawn_imu, sensor_converters, true_calibration
 
 RPM = 2 * np.pi / 60

@@ -64,7 +64,7 @@ class SimulatedWalk:
     R_world_imu, p_world_imu, velocity : (k, 3, 3), (k, 3), (k, 3) at the images [m] [m/s]
     b_a, b_g : (3,) biases at the first sample [m/s^2], [rad/s]
     gravity : (3,) in the world, whose y axis points up [m/s^2]
-    last, count, rays : tracks, as `estimate.odometry.invariant_filter.Sightings`
+    last, count, rays : tracks, as `estimate.invariant_filter.Sightings`
     """
 
     length_m: float

@@ -20,7 +20,7 @@ from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
 from ..results.result import Booleans
-from ..simulate.poses import TABLE_1, PoseSimulation, simulate_poses
+from ..simulate.imu import TABLE_1, PoseSimulation, simulate_poses
 from ..simulate.scenarios.recorded import PoseScenario
 
 BITS, FULL_SCALE_M_S2 = 16, 50.0

@@ -15,9 +15,10 @@ from ..frozen import value_class
 from ..options.requirements import QUANTITIES as KNOWN
 from ..options.requirements import parse_sigma
 from ..recording import Floats
-from .circuit_rig import DATA_SHEET, QUANTITIES
 from .circuit_walk import (
+    DATA_SHEET,
     MEASURES,
+    QUANTITIES,
     WAYS,
     CircuitRun,
     CircuitTask,

@@ -12,8 +12,7 @@ import numpy as np
 from ..errors import SolveError
 from ..frozen import value_class
 from ..recording import Floats
-from .krebs_run import SCENARIO, KrebsRun, KrebsTask, run_krebs
-from .krebs_thesis import GROUPS, NAMES, group_columns
+from .krebs_run import GROUPS, NAMES, SCENARIO, KrebsRun, KrebsTask, group_columns, run_krebs
 from .runs import HERE, Progress, Workers, carry_out, run_seeds
 
 _FEWEST = 2
@@ -89,7 +88,7 @@ class Independence:
 
 @value_class
 class KrebsSample:
-    """All runs of one series; parameters are in the order of `krebs_thesis.NAMES`.
+    """All runs of one series; parameters are in the order of `krebs_run.NAMES`.
 
     Attributes
     ----------

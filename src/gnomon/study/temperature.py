@@ -14,7 +14,7 @@ from ..frozen import value_class
 from ..recording import Floats
 from ..recording.thermometer import temperature_course
 from ..results.temperature import TemperatureResult
-from ..simulate.scenarios.temperature import TemperatureScenario
+from ..simulate.scenarios.recorded import TemperatureScenario
 from ..simulate.temperature import TemperatureSimulation, simulate_temperature
 from .runs import HERE, Progress, Workers, carry_out, run_seeds
 from .tables import Claim, StudyTable, claims_table

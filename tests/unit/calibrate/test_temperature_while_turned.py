@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon.calibrate.steps.temperature_while_turned import rose_and_fell
 from gnomon.recording import ImuSamples, Recording, TemperatureSamples
-from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.scenarios.recorded import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 
 SCENARIO = TemperatureScenario(

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 import gnomon.detect.boards.checkerboard as module
-from gnomon.detect.boards.checkerboard import CheckerboardTracker, detect_checkerboard, find_board
-from gnomon.detect.boards.checkerboard_grid import CheckerboardGrid, board_at, fill_grid
+from gnomon.detect.boards.checkerboard import (
+    CheckerboardGrid,
+    CheckerboardTracker,
+    board_at,
+    detect_checkerboard,
+    fill_grid,
+    find_board,
+)
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.corners.corner_fit import _crossing_or_tip, fit_corners
+from gnomon.detect.boards.corner_fit import _crossing_or_tip, fit_corners
 
 FINE = 11  # points along a pixel in which pictures are blurred
 SIDE = 41  # px

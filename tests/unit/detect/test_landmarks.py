@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.landmarks.tracks import Landmarks, cut_pieces, follow_points
+from gnomon.detect.tracks import Landmarks, cut_pieces, follow_points
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 

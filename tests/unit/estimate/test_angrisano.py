@@ -17,7 +17,7 @@ from gnomon.estimate.triads.angrisano import (
 from gnomon.models.angrisano import AngrisanoTriad, alignment_derivatives, alignment_matrix, angles_and_scales
 from gnomon.models.forms import AngrisanoAccelerometer
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.simulate.poses import TABLE_1, rest_directions
+from gnomon.simulate.imu import TABLE_1, rest_directions
 
 GRAVITY = 9.80665
 X = TABLE_1.parameters

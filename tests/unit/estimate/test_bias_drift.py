@@ -13,7 +13,7 @@ from gnomon.estimate.temperature.bias_drift import (
     choose_order,
     left_out_deviations,
 )
-from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.scenarios.recorded import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 
 

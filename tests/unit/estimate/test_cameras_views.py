@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from board_views import BOARD, STEP_NS, lens, pose, seen
-from gnomon.estimate.cameras.noise import views_alike
-from gnomon.estimate.cameras.rig import camera_corners, gathered_views, renumber_camera
+from gnomon.estimate.cameras.rig import camera_corners, gathered_views, renumber_camera, views_alike
 from gnomon.recording import CameraFrames
 
 PAIR = {"cam0": lens("pinhole-radtan"), "cam1": lens("pinhole-radtan")}

@@ -10,9 +10,9 @@ from gnomon.estimate.camera_imu.gauss_newton import lasting_factor
 from gnomon.estimate.camera_imu.start.board_poses import resection_poses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.estimate.camera_imu.terms.visual_terms import Exposures
-from gnomon.estimate.landmarks.bundle import adjust_bundle
-from gnomon.estimate.landmarks.scene_path import (
+from gnomon.estimate.scene import (
     SeenTurns,
+    adjust_bundle,
     attitudes_of,
     find_scene_path,
     rates_by_camera,

@@ -13,8 +13,8 @@ import pytest
 
 from camera_imu_problem import problem
 from gnomon import kernel
+from gnomon.detect.boards.corner_fit import fit_corners
 from gnomon.detect.boards.tag_places import fit_homography, map_points
-from gnomon.detect.corners.corner_fit import fit_corners
 from gnomon.estimate.allan.deviation import overlapping_allan
 from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts

@@ -12,7 +12,7 @@ import pytest
 import gnomon
 from cameras_result import make_cameras_result
 from gnomon.frozen import FrozenMapping, value_class
-from gnomon.simulate.scenarios.temperature import TemperatureScenario
+from gnomon.simulate.scenarios.recorded import TemperatureScenario
 from gnomon.simulate.temperature import simulate_temperature
 
 

@@ -13,9 +13,8 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.images.board_outlines import pixel_coverage
+from gnomon.simulate.images.board_outlines import MotionSegment, pixel_coverage
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.motion_segments import MotionSegment
 from gnomon.simulate.images.rendering import Optics, render_board, render_moving
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 

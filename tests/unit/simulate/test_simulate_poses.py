@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.errors import OptionError
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.simulate.poses import TABLE_1, rest_directions
+from gnomon.simulate.imu import TABLE_1, rest_directions
 
 QUIET = {"accelerometer_noise_density": 0.0, "gyroscope_noise_density": 0.0, "samples": 4}
 EXACT = {**QUIET, "sensor": "drawn", "units": "si"}

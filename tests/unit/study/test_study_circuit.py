@@ -9,8 +9,18 @@ from gnomon.report.studies.circuit import circuit_page
 from gnomon.simulate.walk import WalkScenario
 from gnomon.study import circuit_walk
 from gnomon.study.circuit import PROBES, CircuitStudy, circuit_claims, circuit_tables
-from gnomon.study.circuit_rig import LEVELS, QUANTITIES, calibrated_rig, perturb_rig
-from gnomon.study.circuit_walk import WAYS, CircuitRun, PartsRun, PartsTask, path_errors, walk_with_parts_off
+from gnomon.study.circuit_walk import (
+    LEVELS,
+    QUANTITIES,
+    WAYS,
+    CircuitRun,
+    PartsRun,
+    PartsTask,
+    calibrated_rig,
+    path_errors,
+    perturb_rig,
+    walk_with_parts_off,
+)
 
 
 def circle(radius_m=10.0, count=400):

@@ -14,16 +14,20 @@ from gnomon.study.krebs import SERIES, SETTINGS, Independence, KrebsSample, Kreb
 from gnomon.study.krebs_claims import krebs_claims, krebs_tables
 from gnomon.study.krebs_run import (
     CHANGES,
+    GROUPS,
+    NAMES,
     OPTIONS,
     SCENARIO,
+    KrebsRig,
     KrebsRun,
     KrebsTask,
     calibrated_run,
     change_parameter,
+    group_columns,
     run_krebs,
     sense_motion,
+    stated_sigma,
 )
-from gnomon.study.krebs_thesis import GROUPS, NAMES, KrebsRig, group_columns, stated_sigma
 from gnomon.study.runs import Records, run_seeds
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 from html_page import Page

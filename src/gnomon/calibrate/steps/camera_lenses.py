@@ -14,8 +14,7 @@ import numpy as np
 from ...errors import GnomonError, OptionError, SolveError
 from ...estimate.cameras.first_lens import fit_lens_model, general_lens
 from ...estimate.cameras.first_rig import first_rig, held_out_residuals
-from ...estimate.cameras.noise import views_alike
-from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners, view_corners
+from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners, view_corners, views_alike
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.trust.clusters import ClusterSums, cluster_length, correlation_time, held_out_costs, leave_clusters_out
 from ...frozen import value_class

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ...detect.landmarks.tracks import Landmarks, PointTracks, cut_pieces, follow_points
+from ...detect.tracks import Landmarks, PointTracks, cut_pieces, follow_points
 from ...errors import DetectionError, InitialisationError, RecordingError
 from ...estimate.camera_imu.start.alignment import Alignment, align_camera, gyroscope_integral
 from ...estimate.camera_imu.start.first_guess import ImuStream
-from ...estimate.landmarks.bundle import adjust_bundle
-from ...estimate.landmarks.scene_path import (
+from ...estimate.scene import (
     SeenTurns,
+    adjust_bundle,
     attitudes_of,
     find_scene_path,
     rates_by_camera,

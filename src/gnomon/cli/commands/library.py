@@ -175,7 +175,7 @@ class LibraryCommand(Command):
         return {"devices": len(line.first), "findings": line.findings, "file": str(path), "exit_code": code}
 
     def _export(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
-        from ...fleet.export import export_table
+        from ...fleet.entries import export_table
 
         path = Path(self.words[0])
         count = export_table(library.entries(kind=self.kind), path)

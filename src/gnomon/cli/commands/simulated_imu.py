@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ...recording import Floats, Poses, Recording
     from ...results.calibration import Calibration
-    from ...simulate.poses import PoseSimulation
+    from ...simulate.imu import PoseSimulation
 
 _DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
 

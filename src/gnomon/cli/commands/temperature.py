@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ...simulate.scenarios.temperature import TemperatureScenario
+from ...simulate.scenarios.recorded import TemperatureScenario
 from ..arguments import Argument
 from ..command import Command, FileOption, Flat, Report, Seed, StatedFacts, TableOptions, output_option
 from ..files import default_folder, result_folder

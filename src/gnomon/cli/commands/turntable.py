@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ...errors import OptionError
 from ...options import TurntableOptions
-from ...simulate.scenarios.platter import PlatterScenario
-from ...simulate.scenarios.recorded import TurntableScenario
+from ...simulate.scenarios.turntable import PlatterScenario, TurntableScenario
 from ...units import Units, parse_rate
 from ..arguments import Argument
 from ..command import CertificateFacts, Command, Flat, ForUse, Report, Seed, output_option
@@ -256,7 +255,7 @@ class SimulateTurntable(Command):
 def _save_videos(command: SimulateTurntable, rates: Sequence[float], staging: Path, terminal: Terminal) -> list[str]:
     """Write a video of the platter at each speed, and return the names of the files."""
     from ...simulate.images.platter_video import simulate_platter_video
-    from ...simulate.scenarios.platter import PlatterScenario
+    from ...simulate.scenarios.turntable import PlatterScenario
     from ...writers.video import save_video
 
     names: list[str] = []

@@ -18,10 +18,10 @@ from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
 from ...recording.frames import Grey
-from ..corners.corner_fit import CornerKind
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of
 from .checkerboard import checkerboard_search_scale, reduce_image
+from .corner_fit import CornerKind
 from .lattice import carry_corners
 from .plane_map import LensGuess
 from .tag_places import locate_points

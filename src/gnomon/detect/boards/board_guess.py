@@ -13,8 +13,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from .board import DIFFERS
-from .checkerboard import board_near, checkerboard_search_scale, reduce_image
-from .checkerboard_grid import fill_grid
+from .checkerboard import board_near, checkerboard_search_scale, fill_grid, reduce_image
 from .discs import disc_lattices, find_discs
 from .lattice import Lattice, find_lattices, find_saddles
 from .marker_boards import black_quads

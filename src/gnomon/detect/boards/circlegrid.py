@@ -19,8 +19,7 @@ from ...recording import Floats, Integers
 from ...recording.frames import Grey
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .checkerboard import reduce_image
-from .disc_fit import DiscFits, fit_discs
-from .discs import Discs, disc_lattices, find_discs, grids_in
+from .discs import DiscFits, Discs, disc_lattices, find_discs, fit_discs, grids_in
 from .marker_boards import COVERED, as_good_as
 from .plane_map import PlaneMap, plane_map
 

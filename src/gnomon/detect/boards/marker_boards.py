@@ -17,8 +17,8 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
 from ...recording.frames import Grey
-from ..corners.corner_windows import CornerFits, PointFits
 from .board import BoardView, middle_of, nothing_seen
+from .corner_windows import CornerFits, PointFits
 from .plane_map import LensGuess, PlaneMap, correct_corners
 
 LARGE_IMAGE_PX = 1.3e6

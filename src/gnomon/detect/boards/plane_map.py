@@ -22,8 +22,8 @@ import numpy as np
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats
-from ..corners.corner_windows import CornerFits
 from .board import middle_of
+from .corner_windows import CornerFits
 from .tag_places import fit_homography, map_points
 
 _TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points

@@ -22,8 +22,7 @@ from ...solve.least_squares import levenberg_marquardt
 from ..camera_imu.start.board_poses import homography_poses, thin_exposures
 from ..camera_imu.terms.visual_terms import CornerNoise
 from .layout import SharedLayout, lens_bounds, stated_shape
-from .noise import usual_sigma
-from .normal import ViewNormalEquations, accumulate_normal_equations, inverse_poses
+from .normal import ViewNormalEquations, accumulate_normal_equations, inverse_poses, usual_sigma
 from .rig import CameraCorners, CameraRig, RigViews, view_corners
 from .solution import solve_rig
 

@@ -11,8 +11,7 @@ from ...recording import Floats, Integers
 from ..camera_imu.terms.visual_terms import CornerNoise
 from .first_lens import MOST_STEPS, first_lens, first_poses, settle_poses
 from .layout import SharedLayout, stated_shape
-from .noise import HUBER, usual_sigma
-from .normal import accumulate_normal_equations
+from .normal import HUBER, accumulate_normal_equations, usual_sigma
 from .rig import CameraRig, RigViews, SeenCorners, camera_corners, renumber_camera, view_corners
 
 _FEWEST_SHARED = 3

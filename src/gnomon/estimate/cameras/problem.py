@@ -21,8 +21,15 @@ from ...recording import Floats, Integers
 from ..camera_imu.terms.visual_terms import CornerNoise
 from ..trust.clusters import ClusterSums
 from .layout import ASPECT_SIGMA, SharedLayout, bow_sigma, lens_bounds, offsets_information
-from .noise import HUBER, bounded_sigma, relative_corner_sigmas, usual_sigma
-from .normal import ViewNormalEquations, accumulate_normal_equations, view_sums
+from .normal import (
+    HUBER,
+    ViewNormalEquations,
+    accumulate_normal_equations,
+    bounded_sigma,
+    relative_corner_sigmas,
+    usual_sigma,
+    view_sums,
+)
 from .rig import CameraCorners, CameraRig, RigSolution, RigViews, camera_corners
 
 _ORDER = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "p1": 1, "p2": 1}  # power of the radius beside the radius itself

@@ -4,8 +4,7 @@ import numpy as np
 
 from ...options.requirements import QUANTITIES as KNOWN
 from ...study.circuit import CONFIDENCE, SIZES, CircuitStudy, circuit_claims, joint_costs, level_numbers
-from ...study.circuit_rig import QUANTITIES
-from ...study.circuit_walk import MEASURES, SCENARIO, WAYS
+from ...study.circuit_walk import MEASURES, QUANTITIES, SCENARIO, WAYS
 from ..drawing.figures import LEFT, RIGHT, WIDTH, Sheet, draw_dots, log_limits
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section

@@ -7,8 +7,19 @@ import numpy as np
 from ...recording import Floats
 from ...study.krebs import KrebsSample, KrebsStudy, group_mean, krebs_group_rms, scatter_reduction
 from ...study.krebs_claims import krebs_claims
-from ...study.krebs_run import CHANGES, PIXEL_NOISE_PX, SCENARIO
-from ...study.krebs_thesis import GROUPS, NAMES, UNITS, Group, KrebsRig, group_columns, stated_mean, stated_sigma
+from ...study.krebs_run import (
+    CHANGES,
+    GROUPS,
+    NAMES,
+    PIXEL_NOISE_PX,
+    SCENARIO,
+    UNITS,
+    Group,
+    KrebsRig,
+    group_columns,
+    stated_mean,
+    stated_sigma,
+)
 from ..drawing.figures import WIDTH, Plot, Sheet
 from ..drawing.panel import Panel
 from ..numbers import finite_values, fixed_text, number_text, positive_or

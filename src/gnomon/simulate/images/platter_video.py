@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
 from ...recording.frames import Frame, Grey, ImageStream
-from ..scenarios.platter import PlatterScenario
+from ..scenarios.turntable import PlatterScenario
 
 Shades = NDArray[np.float32]
 

@@ -16,9 +16,18 @@ from ...models.camera import Booleans, Camera
 from ...recording import Floats
 from ...recording.frames import Grey
 from ..scenarios.cameras import RenderedImages
-from .board_outlines import Outline, Singles, TrueBoard, outline_of, pixel_coverage
+from .board_outlines import (
+    InstantPoses,
+    MotionSegment,
+    Movement,
+    Outline,
+    Pose,
+    Singles,
+    TrueBoard,
+    outline_of,
+    pixel_coverage,
+)
 from .clutter import Wall
-from .motion_segments import InstantPoses, MotionSegment, Movement, Pose
 
 _LONGEST_PX, _BENT_PX = 8.0, 0.0015  # of a straight piece, and by how much the lens may bend the line in it
 _CELLS = ((2, 0.7), (3, 0.4), (4, 0.0))  # cells along a side of a pixel, and the blur from which on they do

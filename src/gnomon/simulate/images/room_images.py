@@ -25,8 +25,7 @@ from ..camera_imu import CameraImuSimulation
 from ..scenarios.camera_imu import RoomScenario, Surface
 from ..walk import half_axes
 from .board_images import ViewsOnPath
-from .board_outlines import Singles
-from .motion_segments import MotionSegment, Pose
+from .board_outlines import MotionSegment, Pose, Singles
 from .rendering import add_noise, light_falloff, pixel_rays, usual_light
 
 _TEXEL_M = {True: 0.0025, False: 0.0012}  # of walls, of furniture

@@ -1,6 +1,6 @@
-"""What to simulate of an IMU alone, in poses, on a turntable, of a magnetometer, of noise; commands show these options.
+"""What to simulate of an IMU alone, in poses or over its temperature, of a magnetometer, of noise.
 
-Needs no NumPy.
+Commands show these options. Needs no NumPy.
 """
 
 from dataclasses import dataclass
@@ -216,70 +216,6 @@ class PoseScenario(RecordedSensor):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TurntableScenario(RecordedSensor):
-    """A sensor that lies on a record player in one attitude after another (Angrisano, fig. 7)."""
-
-    rpm: tuple[float, ...] = (16.0,)
-    """Speeds of the platter in turns a minute, one after the other in each attitude; it rests before and after them."""
-
-    rate_error: float = 0.0
-    """Share by which the platter is faster than it says."""
-
-    counter_clockwise: bool = False
-    """Which way the platter turns, seen from above; record players turn clockwise."""
-
-    poses: int = 18
-    """Attitudes; 18 are the six faces and the twelve edges of a cube up, other numbers cover the sphere evenly."""
-
-    attitude_error_deg: float = 10.0
-    """Standard deviation of the tilt of each attitude about each axis, in degrees."""
-
-    files: Literal["one", "each"] = "one"
-    """one: a single recording, with the handling between the attitudes. each: one recording an attitude, without."""
-
-    accelerometer: bool = True
-    """Whether the accelerometer is recorded, too."""
-
-    steady_s: float = 30.0
-    """How long each speed is kept, in seconds."""
-
-    rest_s: float = 5.0
-    """How long the platter rests before and after, in seconds."""
-
-    spin_up_s: float = 1.0
-    """Time constant with which the platter takes up its speed, in seconds."""
-
-    handling_s: float = 4.0
-    """How long the sensor is handled between two attitudes, in seconds."""
-
-    radius: float = 0.05
-    """Distance of the sensor from the platter's axis in metres."""
-
-    tilt_deg: float = 0.2
-    """Angle of the platter's axis to the vertical in degrees."""
-
-    wow: float = 0.001
-    """Share by which the speed swings once a turn."""
-
-    speed_scatter: float = 0.0
-    """Standard deviation of the speed from one steady part to the next, as a share."""
-
-    rate_hz: float = 100.0
-    """Sample rate of both triads."""
-
-    g_sensitivity: float = 0.0
-    """Elements of the gyroscope's g-sensitivity are drawn between minus and plus this, in rad/s per m/s^2."""
-
-    gyroscope_drift: float = 0.0
-    """How far the gyroscope's bias moves from beginning to end, along each axis, in rad/s; steadily."""
-
-    def __post_init__(self) -> None:
-        self.check(positive="steady_s", not_negative="radius wow speed_scatter g_sensitivity")
-        if any(not speed >= 0 for speed in self.rpm):
-            raise OptionError("rpm must not be below zero; counter_clockwise says which way the platter turns.")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FieldScenario:
     """A magnetometer, with an accelerometer and a gyroscope beside it if wanted, that a hand turns over the sphere."""
 
@@ -438,3 +374,97 @@ class NoiseScenario:
         """Return the coefficients of the "accelerometer" or the "gyroscope" by name."""
         names = ("white_noise", "bias_instability", "random_walk", "quantisation", "rate_ramp")
         return {name: getattr(self, f"{sensor}_{name}") for name in names}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureScenario:
+    """Recordings of one IMU over its temperature, each from one switching-on, with its thermometer."""
+
+    recordings: int = 3
+    """How many."""
+
+    turned: bool = False
+    """Turn it from rest to rest, at one temperature in each recording, from start to end, instead of warm-ups."""
+
+    intervals: int = 30
+    """Rests of a recording in which it is turned."""
+
+    self_heating_k: float = 2.0
+    """By which it warms up while it is turned, in K."""
+
+    duration_s: float = 1200.0
+    """Length of each warm-up in seconds."""
+
+    rate_hz: float = 50.0
+    """Sample rate."""
+
+    start_degc: float = 0.0
+    """Temperature at the start, as from a freezer; another by about 1 degC each time."""
+
+    end_degc: float = 45.0
+    """Temperature that it approaches."""
+
+    time_constant_s: float = 250.0
+    """Of the approach, in seconds."""
+
+    back: bool = False
+    """Cool down to the start again in the second half."""
+
+    order: int = 2
+    """Order of the polynomials of the biases, 0 to 3; their coefficients are drawn."""
+
+    sensitivity_order: int = 1
+    """The same of sensitivities, which show where it is turned."""
+
+    sensitivity: float = 1e-4
+    """Usual size of their first coefficients, relative, in 1/K."""
+
+    g_sensitivity: float = 0.0
+    """The same of the gyroscope's g-sensitivity, to first order, in rad/s per m/s^2 and K; it is 300 times as large."""
+
+    sensitivity_scatter: float = 1.5e-4
+    """Scatter of scales, and of misalignments in rad, from one switching-on to the next, as of eight MPU-9150."""
+
+    lag_s: float = 0.0
+    """By which the thermometer follows the sensor, in seconds."""
+
+    step_k: float = 0.1
+    """Steps of the thermometer."""
+
+    thermometer_noise: float = 0.02
+    """Of each reading, in K."""
+
+    thermometer_rate_hz: float = 50.0
+    """Readings of the thermometer a second."""
+
+    gyroscope_turn_on: float = 1e-3
+    """Scatter of the bias from one switching-on to the next, in rad/s."""
+
+    accelerometer_turn_on: float = 5e-3
+    """The same in m/s^2."""
+
+    gyroscope_white_noise: float = 2e-4
+    """Of warm-ups, in rad/s/sqrt(Hz)."""
+
+    accelerometer_white_noise: float = 2e-3
+    """The same in m/s^2/sqrt(Hz)."""
+
+    gyroscope_bias_instability: float = 7e-5
+    """Of warm-ups, in rad/s."""
+
+    branches: float = 0.0
+    """By how much more the gyroscope reads while the temperature rises than while it falls, in rad/s."""
+
+    def __post_init__(self) -> None:
+        positive = "recordings intervals duration_s rate_hz time_constant_s thermometer_rate_hz"
+        check_ranges(
+            self,
+            positive=positive,
+            not_negative="order sensitivity_order sensitivity g_sensitivity sensitivity_scatter self_heating_k lag_s "
+            "step_k thermometer_noise gyroscope_turn_on accelerometer_turn_on gyroscope_white_noise "
+            "accelerometer_white_noise gyroscope_bias_instability",
+        )
+        if max(self.order, self.sensitivity_order) > 3:
+            raise OptionError(
+                f"order {max(self.order, self.sensitivity_order)}: polynomials of order 0 to 3 are drawn."
+            )

@@ -28,9 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...frozen import value_class
-from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, skew
-from ...recording import Floats, Integers
+from ..frozen import value_class
+from ..geometry.rotation_vector import right_jacobian, rotation_from_rotvec, skew
+from ..recording import Floats, Integers
 
 
 @value_class

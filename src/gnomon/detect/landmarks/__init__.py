@@ -1,1 +1,0 @@
-"""Landmarks of a scene, in images."""

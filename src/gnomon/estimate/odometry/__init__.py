@@ -1,1 +1,0 @@
-"""The path of a calibrated rig from one camera and one IMU, with the calibration frozen."""
