@@ -225,7 +225,7 @@ def test_memory_does_not_grow(random_calibration, tmp_path):
 
 
 def test_memory_does_not_grow_with_text(random_calibration, tmp_path, monkeypatch):
-    monkeypatch.setattr(stream_text, "_HEAD_BYTES", 50_000)
+    monkeypatch.setattr(stream_text, "_RECOGNISED_BYTES", 50_000)
     imu = random_calibration(31).imus["imu0"]
     peaks = []
     for count in (10_000, 60_000):
@@ -268,7 +268,7 @@ def test_trouble_on_the_way_leaves_nothing(random_calibration, tmp_path):
 
 def test_line_numbers_count_from_the_top_of_the_file(random_calibration, tmp_path, monkeypatch):
     """An error far behind the beginning, which only the stream sees, names the line of the file."""
-    monkeypatch.setattr(stream_text, "_HEAD_BYTES", 4000)
+    monkeypatch.setattr(stream_text, "_RECOGNISED_BYTES", 4000)
     path = write_csv(tmp_path / "r.csv", samples(2000))
     lines = path.read_text().splitlines()
     lines[1500] = lines[1500].rpartition(",")[0] + ",x"

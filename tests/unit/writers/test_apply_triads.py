@@ -157,7 +157,7 @@ def test_samples_in_another_unit_are_refused(tmp_path):
 
 def test_memory_does_not_grow_where_one_triad_of_three_is_calibrated(tmp_path, monkeypatch):
     """What nobody takes is not kept either."""
-    monkeypatch.setattr(stream_text, "_HEAD_BYTES", 50_000)
+    monkeypatch.setattr(stream_text, "_RECOGNISED_BYTES", 50_000)
     monkeypatch.setattr(apply, "open_stream", partial(open_stream, block_bytes=50_000))
     imu = imu_of(("magnetometer",))
     peaks = []
