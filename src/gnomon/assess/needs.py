@@ -45,8 +45,6 @@ _KINDS: dict[str, Kind] = {
 _TAKEN_ALONG = 0.5
 """Correlation from which on a bias is as badly known as it is because another part is."""
 
-"""Beginning of the consequence of what `causes` explains by another finding."""
-
 _PREFIXES = {
     "camera_rotation": ("{}.T_cam_imu.rotation",),
     "camera_translation": ("{}.T_cam_imu.translation",),

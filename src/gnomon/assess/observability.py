@@ -10,11 +10,9 @@ from math import sqrt
 
 import numpy as np
 
-from ..estimate.multiposition.problem import ImuEstimate
 from ..findings import Finding, make_finding
 from ..frozen import value_class
 from ..recording import Floats, Integers
-from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration
 from ..results.sensors import CameraCalibration, ImuCalibration, calibration_parameters, covariance_names
 from ..results.trust import WeakDirection
 from .directions import (
@@ -252,22 +250,6 @@ PLACES_AND_CLOCKS = (".T_cam_imu.", ".time_shift_cam_imu", ".T_imu_body.", ".tim
 
 _MAINLY = 0.3
 """Share from which on a direction is mainly one of a parameter."""
-
-
-def imu_weak(estimate: ImuEstimate) -> tuple[WeakDirection, ...]:
-    """Return the weak directions of an IMU that was turned and held still, by the covariance for independent errors."""
-    imu = ImuCalibration(
-        accelerometer=AccelerometerCalibration(
-            sensitivity=estimate.accelerometer_sensitivity, bias=estimate.accelerometer_bias, unit=""
-        ),
-        gyroscope=GyroscopeCalibration(
-            sensitivity=estimate.gyroscope_sensitivity,
-            bias=estimate.gyroscope_bias,
-            g_sensitivity=estimate.g_sensitivity,
-            unit="",
-        ),
-    )
-    return weak_directions(known_of({"imu0": imu}, {}, estimate.covariance))
 
 
 def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[Finding]:

@@ -13,7 +13,7 @@ from ..assess.changes import with_changes
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
 from ..assess.imu.recording_changes import axes_changed_findings
-from ..assess.observability import imu_weak
+from ..assess.observability import known_of, weak_directions
 from ..assess.priors import Prior, Priors, gather_prior, prior_findings, refuse_own_data
 from ..assess.verdict import comparison_left_out
 from ..detect.samples.rests import FEWEST_INTERVALS, RestDetection, ThresholdTrial
@@ -232,10 +232,10 @@ def _fit(
     slopes = None
     if readings.reference_degc is not None:
         slopes = bias_polynomials(model.fit, problem, readings.reference_degc, readings.lag_s)
-    imu = imu_calibration(estimate, prepared)
+    imu = imu_calibration(estimate, prepared.units)
     names = covariance_names({"imu0": imu if slopes is None else replace(imu, temperature=slopes.found)})
     trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, slopes, gravity=gravity, options=options)
-    weak = imu_weak(estimate)
+    weak = weak_directions(known_of({"imu0": imu}, {}, estimate.covariance))
     return ImuFitSummary(
         accelerometer=readings.streams[0],
         gyroscope=readings.streams[1],
@@ -270,7 +270,7 @@ def _assess(
 ) -> Result:
     """Return the calibration with its verdict, and the tables that show how it came about."""
     diagnostics = describe_imu(fit)
-    imus = {"imu0": replace(imu_calibration(fit.estimate, prepared), temperature=fit.temperature)}
+    imus = {"imu0": replace(imu_calibration(fit.estimate, prepared.units), temperature=fit.temperature)}
     findings = (*prepared.findings, *_agreement(fit, known, gravity, options))
     calibration = Calibration(
         imus=imus,

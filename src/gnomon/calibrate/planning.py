@@ -65,7 +65,7 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
         fit,
         problem,
         gravity,
-        units=("m/s^2", "rad/s"),
+        units={"accelerometer": "m/s^2", "gyroscope": "rad/s"},
         latitude=plan.latitude,
         found=len(rests),
         provenance=Provenance(method="plan", options=changed_options(plan), seed=seed),

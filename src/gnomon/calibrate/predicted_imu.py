@@ -3,7 +3,7 @@
 problem, attitudes -> nominal sensor -> normal equations -> covariance -> what one more rest would add
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -33,18 +33,16 @@ from ..frozen import value_class
 from ..geometry.rotation_vector import rotation_from_rotvec, skew, tangent_basis
 from ..recording import Floats
 from ..results.calibration import (
-    AccelerometerCalibration,
     Assessment,
     Calibration,
     Covariance,
     Gravity,
-    GyroscopeCalibration,
-    ImuCalibration,
     Provenance,
     covariance_names,
 )
 from ..results.result import Booleans
 from ..solve.least_squares import solve_arrow
+from .steps.preparation import imu_calibration
 
 _TURN_S, _TURN_STEPS = 1.5, 24
 
@@ -200,7 +198,7 @@ def predicted_calibration(
     problem: MultiPositionProblem,
     gravity: Gravity,
     *,
-    units: tuple[str, str],
+    units: Mapping[str, str],
     latitude: float | None = None,
     found: int = 0,
     provenance: Provenance,
@@ -209,7 +207,7 @@ def predicted_calibration(
 
     Parameters
     ----------
-    units : of accelerometer and gyroscope
+    units : of "accelerometer" and "gyroscope"
     latitude : [deg], where it is known
     found : rests, of which some may not be used
     """
@@ -221,19 +219,7 @@ def predicted_calibration(
         gravity_sigma_m_s2=gravity.sigma,
         latitude_deg=latitude,
     )
-    imus = {
-        "imu0": ImuCalibration(
-            accelerometer=AccelerometerCalibration(
-                sensitivity=estimate.accelerometer_sensitivity, bias=estimate.accelerometer_bias, unit=units[0]
-            ),
-            gyroscope=GyroscopeCalibration(
-                sensitivity=estimate.gyroscope_sensitivity,
-                bias=estimate.gyroscope_bias,
-                g_sensitivity=np.zeros((3, 3)),
-                unit=units[1],
-            ),
-        )
-    }
+    imus = {"imu0": imu_calibration(replace(estimate, g_sensitivity=np.zeros((3, 3))), units)}
     used = len(fit.state.u)
     return Calibration(
         imus=imus,

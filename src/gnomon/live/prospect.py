@@ -125,7 +125,7 @@ def rate_unit_of(imu: ImuSamples) -> float | None:
 
 
 def _predicted(fit: NominalFit, problem: MultiPositionProblem, imu: ImuSamples) -> Calibration:
-    units = imu.accelerometer.unit, imu.gyroscope.unit
+    units = {"accelerometer": imu.accelerometer.unit, "gyroscope": imu.gyroscope.unit}
     return predicted_calibration(fit, problem, UNSTATED_GRAVITY, units=units, provenance=_PREDICTED)
 
 

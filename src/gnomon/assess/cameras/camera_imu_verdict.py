@@ -1,6 +1,6 @@
 """Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -198,44 +198,40 @@ def _plainly(reason: str) -> str:
     }.get(reason, reason)
 
 
-def _board_size(evidence: CameraImuFitSummary) -> list[Finding]:
+def _board_size(evidence: CameraImuFitSummary) -> Iterator[Finding]:
     """Say that the board's size contradicts gravity, which the accelerometer measures with it."""
     held = evidence.uncertainty.held.get("target.scale")
     if held is None:
-        return []
+        return
     offset, sigma = float(held.wanted[0]), float(held.wanted_sigma[0])
     severity = grade_by_limits("board size", abs(offset))
     if severity == "good" or abs(offset) < _SIGNIFICANT * sigma:
-        return []
+        return
     scale = evidence.solution.state.parameters.target_scale + offset
     way = "smaller" if scale < 1 else "larger"
-    return [
-        make_finding(
-            "target-scale",
-            severity=severity,
-            scale=abs(scale - 1),
-            way=way,
-            sigma=sigma,
-        )
-    ]
+    yield make_finding(
+        "target-scale",
+        severity=severity,
+        scale=abs(scale - 1),
+        way=way,
+        sigma=sigma,
+    )
 
 
-def _scene_size(evidence: CameraImuFitSummary) -> list[Finding]:
+def _scene_size(evidence: CameraImuFitSummary) -> Iterator[Finding]:
     """Say by what the size of a scene without a board is known, and how well."""
     if evidence.target.kind != "landmarks":
-        return []
+        return
     certain, scale = evidence.uncertainty, evidence.solution.state.parameters.target_scale
     at = certain.names.index("target.scale")
     sigma = float(np.sqrt(certain.covariance[at, at])) / scale
     severity = grade_by_limits("scene size", sigma)
-    return [
-        make_finding(
-            "scene-size",
-            severity="info" if severity == "good" else severity,
-            landmarks=len(evidence.target),
-            sigma=sigma,
-        )
-    ]
+    yield make_finding(
+        "scene-size",
+        severity="info" if severity == "good" else severity,
+        landmarks=len(evidence.target),
+        sigma=sigma,
+    )
 
 
 def _intrinsics(evidence: CameraImuFitSummary) -> list[Finding]:

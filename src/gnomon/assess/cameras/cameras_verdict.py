@@ -1,5 +1,6 @@
 """Verdict and advice on a calibration of cameras alone: what to trust, what to do next."""
 
+from collections.abc import Iterator
 from math import radians
 
 import numpy as np
@@ -123,16 +124,14 @@ def attitude_spread(evidence: CamerasFitSummary) -> float:
     return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2)))
 
 
-def _attitudes(evidence: CamerasFitSummary) -> list[Finding]:
+def _attitudes(evidence: CamerasFitSummary) -> Iterator[Finding]:
     spread, count = attitude_spread(evidence), len(evidence.solution.views)
     if spread >= _FEW_ATTITUDES or count < _FEW_VIEWS:
-        return []
+        return
     one = spread < _ONE_ATTITUDE
-    return [
-        make_finding(
-            "attitudes-alike", alike="one and the same" if one else "nearly the same", count=count, spread=spread
-        )
-    ]
+    yield make_finding(
+        "attitudes-alike", alike="one and the same" if one else "nearly the same", count=count, spread=spread
+    )
 
 
 _UNSEEN_WORSE = 1.5
@@ -190,7 +189,7 @@ def _unseen(name: str, evidence: CamerasFitSummary) -> list[Finding]:
     return [make_finding("holdout-reprojection", name=name, unseen=unseen, used=used)]
 
 
-def _uncertain(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> list[Finding]:
+def _uncertain(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> Iterator[Finding]:
     """Say where focal length or principal point are known badly, and what would tell them."""
     camera = evidence.cameras[name].camera
     covariance = _of_lens(name, camera, evidence)
@@ -200,17 +199,15 @@ def _uncertain(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> list[F
     centre = float(np.sqrt(np.diag(covariance)[kinds == "principal"].max()))
     severity = most_severe(grade_by_limits("focal length", relative), grade_by_limits("centre", centre))
     if severity == "good":
-        return []
-    return [
-        make_finding(
-            "lens-uncertain",
-            severity=severity,
-            name=name,
-            relative=relative,
-            centre=centre,
-            advice=_what_would_tell(fit, evidence),
-        )
-    ]
+        return
+    yield make_finding(
+        "lens-uncertain",
+        severity=severity,
+        name=name,
+        relative=relative,
+        centre=centre,
+        advice=_what_would_tell(fit, evidence),
+    )
 
 
 def _what_would_tell(fit: CornerFit, evidence: CamerasFitSummary) -> str:
@@ -242,24 +239,22 @@ def axis_magnification(camera: Camera) -> tuple[float, Floats]:
     return slope, (image.by_parameters[1, 0] - image.by_parameters[0, 0]) / (2 * _NEAR)
 
 
-def _place(name: str, evidence: CamerasFitSummary) -> list[Finding]:
+def _place(name: str, evidence: CamerasFitSummary) -> Iterator[Finding]:
     """Say where a camera's place against cam0 is known badly."""
     turn = max(evidence.sigma(f"{name}.T_cam_cam0.rotation[{k}]") for k in range(3))
     apart = max(evidence.sigma(f"{name}.T_cam_cam0.translation[{k}]") for k in range(3))
     length = float(np.linalg.norm(evidence.cameras[name].T_cam_body[:3, 3]))
     severity = most_severe(grade_by_limits("rotation", turn), grade_by_limits("baseline", apart / max(length, 1e-12)))
     if severity == "good":
-        return []
-    return [
-        make_finding(
-            "baseline-uncertain",
-            severity=severity,
-            name=name,
-            length=length,
-            apart=apart,
-            turn=turn,
-        )
-    ]
+        return
+    yield make_finding(
+        "baseline-uncertain",
+        severity=severity,
+        name=name,
+        length=length,
+        apart=apart,
+        turn=turn,
+    )
 
 
 def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:

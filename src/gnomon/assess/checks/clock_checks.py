@@ -316,14 +316,15 @@ def early_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: f
     found = drift_by_attitudes(poses, stream, time_shift_s)
     if found is None or abs(found[0]) < max(_FAST, _SIGMAS * found[1]):
         return []
-    drift, sigma = found
-    length_s = float(poses.t_s[-1] - poses.t_s[0])
+    return [far_drift_finding(name, imu, *found, length_s=float(poses.t_s[-1] - poses.t_s[0]))]
+
+
+def far_drift_finding(camera: str, imu: str, drift: float, sigma: float, *, length_s: float) -> Finding:
+    """Return that clocks drift apart so far that no time shift holds; arguments as of `drift_finding`."""
     growth_s = drift * length_s
-    return [
-        make_finding(
-            "clock-drift/far", camera=name, imu=imu, drift=drift, sigma=sigma, growth_s=growth_s, length_s=length_s
-        )
-    ]
+    return make_finding(
+        "clock-drift/far", camera=camera, imu=imu, drift=drift, sigma=sigma, growth_s=growth_s, length_s=length_s
+    )
 
 
 def drift_by_attitudes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> tuple[float, float] | None:

@@ -27,7 +27,7 @@ from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
 from .board_views import BoardTurns, board_move, moved_finding
-from .clock_checks import look_at_drift
+from .clock_checks import far_drift_finding, look_at_drift
 from .rig_axes import (
     AxesFit,
     FrameTimes,
@@ -281,18 +281,8 @@ def check_clock_changes(
     findings = _range_changed(imu, turns_between_frames(poses, integral, shift_s))
     changes = () if findings else clock_changes(poses, integral, alignment)
     if isinstance(changes, ClockGrowth):
-        length_s, drift = float(poses.t_s[-1] - poses.t_s[0]), changes.drift
-        return [
-            make_finding(
-                "clock-drift/far",
-                camera=name,
-                imu=imu,
-                drift=drift,
-                sigma=changes.sigma,
-                growth_s=drift * length_s,
-                length_s=length_s,
-            )
-        ]
+        length_s = float(poses.t_s[-1] - poses.t_s[0])
+        return [far_drift_finding(name, imu, changes.drift, changes.sigma, length_s=length_s)]
     for step in changes:
         ahead_s = step.before_s - step.after_s  # of the camera's clock against the IMU's
         # A clock that was set forward leaves a gap of that length in its own stream.
@@ -370,8 +360,13 @@ def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding
     sigma = float(np.hypot(accelerometer.delay_sigma_s, gyroscope.delay_sigma_s))
     if abs(delay) < max(_DELAY_S, _SIGMAS * sigma):
         return []
+    return [_later_triad(imu, delay, sigma)]
+
+
+def _later_triad(imu: str, delay: float, sigma: float) -> Finding:
+    """Return that the accelerometer comes later than the gyroscope by a delay [s]; earlier, where it is below zero."""
     later, earlier = ("accelerometer", "gyroscope") if delay > 0 else ("gyroscope", "accelerometer")
-    return [make_finding("triads-apart/rig", later=later, imu=imu, delay=abs(delay), sigma=sigma, earlier=earlier)]
+    return make_finding("triads-apart/rig", later=later, imu=imu, delay=abs(delay), sigma=sigma, earlier=earlier)
 
 
 def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
@@ -458,5 +453,4 @@ def late_accelerometer(
     clear = abs(delay) > max(_COMES_LATE_S, _COMES_LATE_SIGMAS * sigma) and before @ before > _CLEARLY * (left @ left)
     if not (explained and clear):
         return []
-    later, earlier = ("accelerometer", "gyroscope") if delay > 0 else ("gyroscope", "accelerometer")
-    return [make_finding("triads-apart/rig", later=later, imu=imu, delay=abs(delay), sigma=sigma, earlier=earlier)]
+    return [_later_triad(imu, delay, sigma)]

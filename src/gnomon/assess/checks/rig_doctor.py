@@ -4,7 +4,7 @@ Of images all timestamps are looked at, and the pictures of some frames, evenly 
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -186,13 +186,11 @@ def _each_once(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(dict.fromkeys(findings))
 
 
-def _order(name: str, t_ns: Integers) -> list[Finding]:
+def _order(name: str, t_ns: Integers) -> Iterator[Finding]:
     back = np.flatnonzero(np.diff(t_ns) <= 0)
     if not len(back):
-        return []
-    return [
-        make_finding("frames-backward/images", name=name, frame=int(back[0]) + 1, count=len(back), frames=len(t_ns))
-    ]
+        return
+    yield make_finding("frames-backward/images", name=name, frame=int(back[0]) + 1, count=len(back), frames=len(t_ns))
 
 
 # ---- pictures ----
@@ -289,36 +287,32 @@ def _incomplete(name: str, note: str) -> Finding:
     return make_finding("images-incomplete", case="named" if name in note else "", note=note, name=name)
 
 
-def _damaged(name: str, look: StreamSummary) -> list[Finding]:
+def _damaged(name: str, look: StreamSummary) -> Iterator[Finding]:
     if not look.damaged:
-        return []
+        return
     tried = len(look.damaged) + len(look.looks)
     share = len(look.damaged) / tried
-    return [
-        make_finding(
-            "images-damaged",
-            severity="problem" if not look.looks else "warning",
-            case="all" if not look.looks else "few" if share < _DAMAGED_SHARE else "",
-            name=name,
-            count=len(look.damaged),
-            tried=tried,
-            first=look.damaged[0],
-        )
-    ]
+    yield make_finding(
+        "images-damaged",
+        severity="problem" if not look.looks else "warning",
+        case="all" if not look.looks else "few" if share < _DAMAGED_SHARE else "",
+        name=name,
+        count=len(look.damaged),
+        tried=tried,
+        first=look.damaged[0],
+    )
 
 
-def _board_missing(name: str, look: StreamSummary, target: Target | None) -> list[Finding]:
+def _board_missing(name: str, look: StreamSummary, target: Target | None) -> Iterator[Finding]:
     if target is None or not look.views:
-        return []
-    return [
-        make_finding(
-            "board-missing",
-            name=name,
-            board=target.describe(),
-            images=len(look.views),
-            other_board=look.other_board,
-        )
-    ]
+        return
+    yield make_finding(
+        "board-missing",
+        name=name,
+        board=target.describe(),
+        images=len(look.views),
+        other_board=look.other_board,
+    )
 
 
 def _board(name: str, look: StreamSummary) -> list[Finding]:

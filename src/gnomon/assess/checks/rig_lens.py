@@ -7,6 +7,7 @@ rolling shutter, the gaps between the tags of an AprilGrid. What a pose can do i
 Before that a lens that is stated for images of another size is told: scaled to theirs it fits far better.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -178,23 +179,21 @@ def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
     ]
 
 
-def _lens(name: str, fit: LensFit) -> list[Finding]:
+def _lens(name: str, fit: LensFit) -> Iterator[Finding]:
     if not (
         abs(fit.border_px) > max(_BORDER_PX, _SIGMAS * fit.border_sigma_px) and fit.rms_free_px < _GAINED * fit.rms_px
     ):
-        return []
+        return
     way = "inwards" if fit.border_px < 0 else "outwards"
-    return [
-        make_finding(
-            "distortion",
-            severity="problem" if abs(fit.border_px) > 10 * _BORDER_PX else "warning",
-            name=name,
-            border_px=abs(fit.border_px),
-            way=way,
-            rms_free_px=fit.rms_free_px,
-            rms_px=fit.rms_px,
-        )
-    ]
+    yield make_finding(
+        "distortion",
+        severity="problem" if abs(fit.border_px) > 10 * _BORDER_PX else "warning",
+        name=name,
+        border_px=abs(fit.border_px),
+        way=way,
+        rms_free_px=fit.rms_free_px,
+        rms_px=fit.rms_px,
+    )
 
 
 def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Booleans | None = None) -> LensFit | None:

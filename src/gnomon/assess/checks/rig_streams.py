@@ -4,7 +4,7 @@ What only an estimate shows (a wrong size of the board, intrinsics of another ca
 it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -184,23 +184,21 @@ def _repeated(name: str, frames: CameraFrames) -> list[Finding]:
     ]
 
 
-def _useless(name: str, seen: BoardSightings) -> list[Finding]:
+def _useless(name: str, seen: BoardSightings) -> Iterator[Finding]:
     useless = int(np.count_nonzero(~seen.usable))
     if not useless:
-        return []
+        return
     share = useless / len(seen.usable)
     many = share > _MANY
-    return [
-        make_finding(
-            "corners-few",
-            severity="warning" if many else "info",
-            case="many" if many else "",
-            name=name,
-            useless=useless,
-            frames=len(seen.usable),
-            fewest_corners=FEWEST_CORNERS,
-        )
-    ]
+    yield make_finding(
+        "corners-few",
+        severity="warning" if many else "info",
+        case="many" if many else "",
+        name=name,
+        useless=useless,
+        frames=len(seen.usable),
+        fewest_corners=FEWEST_CORNERS,
+    )
 
 
 def check_rhythm(name: str, t_ns: Integers) -> list[Finding]:
@@ -254,20 +252,18 @@ def _unseen(name: str, usable: Integers) -> list[Finding]:
     return [make_finding("board-unseen", name=name, length_s=length_s, at=_seconds(usable, longest))]
 
 
-def _duration(name: str, usable: Integers) -> list[Finding]:
+def _duration(name: str, usable: Integers) -> Iterator[Finding]:
     length_s = float(usable[-1] - usable[0]) * 1e-9
     if length_s >= _ENOUGH_S:
-        return []
+        return
     short = length_s < _SHORT_S
-    return [
-        make_finding(
-            "stream-short/camera",
-            severity="problem" if short else "warning",
-            case="short" if short else "",
-            name=name,
-            length_s=length_s,
-        )
-    ]
+    yield make_finding(
+        "stream-short/camera",
+        severity="problem" if short else "warning",
+        case="short" if short else "",
+        name=name,
+        length_s=length_s,
+    )
 
 
 def _board_in_image(name: str, frames: CameraFrames, seen: BoardSightings) -> list[Finding]:
@@ -471,11 +467,12 @@ def _range_change(read: Floats, width: int, samples: int) -> RangeChange | None:
     return find_range_change(np.median(read[: parts * _SWINGS].reshape(parts, _SWINGS), axis=1), stretches, samples)
 
 
-def _motion(name: str, imu: ImuSamples) -> list[Finding]:
-    """Return findings on how much the gyroscope shows."""
+def _motion(name: str, imu: ImuSamples) -> Iterator[Finding]:
+    """Yield findings on how much the gyroscope shows."""
     rates = imu.gyroscope.values - np.median(imu.gyroscope.values, axis=0)
     if np.sqrt((rates**2).sum(axis=1).mean()) < _STILL_RAD_S and is_silent(imu.gyroscope):
-        return [_silent(name, is_silent(imu.accelerometer))]
+        yield _silent(name, is_silent(imu.accelerometer))
+        return
     peak = float(np.abs(rates).max())
     found = f"{name}: the gyroscope reads up to {peak:.4g} rad/s ({np.degrees(peak):.4g} deg/s) from its median."
     state = 'State the unit if it is another one (--units, for example "g deg/s")'
@@ -484,10 +481,8 @@ def _motion(name: str, imu: ImuSamples) -> list[Finding]:
     elif peak <= _SLOWEST_RAD_S:
         consequence, cure = "The turns are too slow to tell much, or the unit is wrong.", f"{state}, or turn faster."
     else:
-        return []
-    return [
-        make_finding("rate-magnitude", found=found, consequence=consequence, cure=cure),
-    ]
+        return
+    yield make_finding("rate-magnitude", found=found, consequence=consequence, cure=cure)
 
 
 def _silent(name: str, still: bool) -> Finding:

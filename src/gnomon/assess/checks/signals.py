@@ -1,5 +1,7 @@
 """The doctor's look at each triad: values, timestamps, vibration."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ...detect.samples.faults import dead_bands, held_samples, isolated_readings, repeated_stretches, saturated_samples
@@ -94,22 +96,20 @@ def _backward(samples: TriadSamples, dt: Integers, label: str) -> list[Finding]:
     ]
 
 
-def _repeated(steps: _Steps, label: str) -> list[Finding]:
+def _repeated(steps: _Steps, label: str) -> Iterator[Finding]:
     count = int(np.count_nonzero(steps.dt == 0))
     if not count:
-        return []
+        return
     share = count / len(steps.dt)
     rare = share <= _LOST_SHARE
-    return [
-        make_finding(
-            "time-repeated",
-            severity="info" if rare else "warning",
-            case="rare" if rare else "",
-            label=label,
-            count=count,
-            share=share,
-        )
-    ]
+    yield make_finding(
+        "time-repeated",
+        severity="info" if rare else "warning",
+        case="rare" if rare else "",
+        label=label,
+        count=count,
+        share=share,
+    )
 
 
 def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
@@ -413,23 +413,22 @@ def isolated_finding(at_s: Floats, share: float, label: str) -> Finding:
     )
 
 
-def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
+def _saturation(samples: TriadSamples, label: str) -> Iterator[Finding]:
     marked = saturated_samples(samples)
     count = int(np.count_nonzero(marked))
     if not count:
-        return [make_finding("saturation/none", label=label)]
+        yield make_finding("saturation/none", label=label)
+        return
     first = int(np.argmax(marked))
     end = float(np.abs(samples.values[marked]).max())
-    return [
-        make_finding(
-            "saturation/clipped",
-            label=label,
-            end=_end_of_range(end, samples.unit),
-            count=count,
-            percent=100 * count / len(samples),
-            at=_seconds(samples, first),
-        )
-    ]
+    yield make_finding(
+        "saturation/clipped",
+        label=label,
+        end=_end_of_range(end, samples.unit),
+        count=count,
+        percent=100 * count / len(samples),
+        at=_seconds(samples, first),
+    )
 
 
 def _end_of_range(value: float, unit: str) -> str:

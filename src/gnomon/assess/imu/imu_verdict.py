@@ -1,5 +1,6 @@
 """Verdict and advice on an IMU calibration: what to trust, what to do next."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -320,24 +321,22 @@ def left_out_intervals_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     return findings
 
 
-def _model_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:
+def _model_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> Iterator[Finding]:
     step = next((step for step in evidence.trust.models if step.name == "g-sensitivity"), None)
     if step is None:
-        return []
+        return
     by_name = {trial.model: trial for trial in diagnostics.trials}
     basic, full = by_name["basic"], by_name["g-sensitivity"]
     how = "as stated" if step.forced else "chosen"
-    return [
-        make_finding(
-            "model",
-            model=full.model if step.used else basic.model,
-            how=how,
-            gain=step.gain,
-            needed=step.needed,
-            full_rms=full.rotation_rms,
-            basic_rms=basic.rotation_rms,
-        )
-    ]
+    yield make_finding(
+        "model",
+        model=full.model if step.used else basic.model,
+        how=how,
+        gain=step.gain,
+        needed=step.needed,
+        full_rms=full.rotation_rms,
+        basic_rms=basic.rotation_rms,
+    )
 
 
 def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:

@@ -1,5 +1,7 @@
 """Verdict and advice on a magnetometer's calibration: what to trust, what to do next."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ...estimate.triads.triad_trust import FEWEST_BLOCKS
@@ -140,7 +142,7 @@ def _holdout_findings(evidence: FieldFitSummary) -> list[Finding]:
     return [make_finding("holdout-magnetometer", severity=severity, total=total, noise=noise)]
 
 
-def _uncertainty_findings(evidence: FieldFitSummary) -> list[Finding]:
+def _uncertainty_findings(evidence: FieldFitSummary) -> Iterator[Finding]:
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
     rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
@@ -150,16 +152,14 @@ def _uncertainty_findings(evidence: FieldFitSummary) -> list[Finding]:
     scale, angle = scale_and_angle(entry_sigmas(magnetometer.sensitivity, basis @ evidence.fit.covariance @ basis.T))
     offset = float((sigma[9:] / rows).max()) / evidence.strength
     severity = grade_by_limits("magnetometer", max(scale, angle, offset))
-    return [
-        make_finding(
-            "uncertainty-magnetometer",
-            severity=severity,
-            offset=offset,
-            scale=scale,
-            angle=angle,
-            advice=_missing(evidence)[0] or "Record longer, in one place away from iron.",
-        )
-    ]
+    yield make_finding(
+        "uncertainty-magnetometer",
+        severity=severity,
+        offset=offset,
+        scale=scale,
+        angle=angle,
+        advice=_missing(evidence)[0] or "Record longer, in one place away from iron.",
+    )
 
 
 def sphere_points(count: int) -> Floats:
@@ -237,27 +237,26 @@ def _correlation_findings(evidence: FieldFitSummary) -> list[Finding]:
     return findings
 
 
-def _strength_findings(evidence: FieldFitSummary) -> list[Finding]:
+def _strength_findings(evidence: FieldFitSummary) -> Iterator[Finding]:
     """Say how strong the field is by the unit of the recording, and whether that can be."""
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
     factor = MAGNETOMETER_UNITS_UT.get(evidence.unit)
     if factor is None:
-        return []
+        return
     shown = mean_scale(magnetometer.sensitivity) * evidence.strength * factor
     likely = _EARTH_UT[0] < shown < _EARTH_UT[1]
     stated = "" if evidence.field is None else f"; {evidence.field:.3g} uT was stated"
     if not likely:
-        return [make_finding("magnetometer-field/implausible", unit=evidence.unit, shown=shown, stated=stated)]
-    return [
-        make_finding(
-            "magnetometer-field/stated",
-            case="field-known" if evidence.field is not None else "",
-            unit=evidence.unit,
-            shown=shown,
-            stated=stated,
-        )
-    ]
+        yield make_finding("magnetometer-field/implausible", unit=evidence.unit, shown=shown, stated=stated)
+        return
+    yield make_finding(
+        "magnetometer-field/stated",
+        case="field-known" if evidence.field is not None else "",
+        unit=evidence.unit,
+        shown=shown,
+        stated=stated,
+    )
 
 
 def _alignment_findings(evidence: FieldFitSummary, beside_accelerometer: bool) -> list[Finding]:
@@ -304,17 +303,15 @@ def _held(evidence: FieldFitSummary) -> tuple[str, ...]:
     return held_names("magnetometer", evidence.fit.iron.held_by_prior)
 
 
-def _held_findings(evidence: FieldFitSummary) -> list[Finding]:
+def _held_findings(evidence: FieldFitSummary) -> Iterator[Finding]:
     held = _held(evidence)
     if not held:
-        return []
-    return [
-        make_finding(
-            "not-observable/magnetometer",
-            count=len(held),
-            advice=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
-        )
-    ]
+        return
+    yield make_finding(
+        "not-observable/magnetometer",
+        count=len(held),
+        advice=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
+    )
 
 
 def _prior_findings(evidence: FieldFitSummary, known: Prior) -> list[Finding]:

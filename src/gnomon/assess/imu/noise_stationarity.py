@@ -1,6 +1,6 @@
 """Is the noise of a resting sensor the same all the time? Levels by segments, frozen and clipped samples, patterns."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import erf, sqrt
 
@@ -147,10 +147,10 @@ def stationarity_findings(table: RestTable, found: Stationarity, sensor: str) ->
     ]
 
 
-def _frozen_findings(table: RestTable, found: Stationarity, sensor: str) -> list[Finding]:
+def _frozen_findings(table: RestTable, found: Stationarity, sensor: str) -> Iterator[Finding]:
     axes = np.flatnonzero(found.frozen.any(axis=0))
     if not len(axes):
-        return []
+        return
     at = np.flatnonzero(found.frozen.any(axis=1))
     first, last = float(table.t_s[at[0]]), float(table.t_s[at[-1]])
     alive = np.flatnonzero(~found.frozen.any(axis=1))
@@ -158,18 +158,16 @@ def _frozen_findings(table: RestTable, found: Stationarity, sensor: str) -> list
     if len(alive):
         start, stop = _longest(np.asarray(found.frozen.any(axis=1), dtype=bool))
         cure += f", or leave it out: --start-s {table.t_s[start]:.0f} --stop-s {table.t_s[stop]:.0f}"
-    return [
-        make_finding(
-            "noise-frozen",
-            severity="problem" if len(at) > _MOST_FROZEN * len(table.t_s) else "warning",
-            sensor=sensor,
-            axes=_named(axes.tolist()),
-            windows=len(at),
-            first=first,
-            last=last,
-            cure=cure,
-        )
-    ]
+    yield make_finding(
+        "noise-frozen",
+        severity="problem" if len(at) > _MOST_FROZEN * len(table.t_s) else "warning",
+        sensor=sensor,
+        axes=_named(axes.tolist()),
+        windows=len(at),
+        first=first,
+        last=last,
+        cure=cure,
+    )
 
 
 def _longest(marked: Booleans) -> tuple[int, int]:
@@ -179,44 +177,40 @@ def _longest(marked: Booleans) -> tuple[int, int]:
     return int(edges[k]) + 1, int(edges[k + 1]) - 1
 
 
-def _clipped_findings(found: Stationarity, sensor: str) -> list[Finding]:
+def _clipped_findings(found: Stationarity, sensor: str) -> Iterator[Finding]:
     axes = np.flatnonzero(found.clipped > _CLIPPED_WARN)
     if not len(axes):
-        return []
+        return
     worst = float(found.clipped.max())
-    return [
-        make_finding(
-            "noise-clipped",
-            severity="problem" if worst > _CLIPPED_FAIL else "warning",
-            sensor=sensor,
-            axes=_named(axes.tolist()),
-            worst=worst,
-        )
-    ]
+    yield make_finding(
+        "noise-clipped",
+        severity="problem" if worst > _CLIPPED_FAIL else "warning",
+        sensor=sensor,
+        axes=_named(axes.tolist()),
+        worst=worst,
+    )
 
 
-def _level_findings(table: RestTable, found: Stationarity, sensor: str) -> list[Finding]:
+def _level_findings(table: RestTable, found: Stationarity, sensor: str) -> Iterator[Finding]:
     axes = [int(axis) for axis in np.flatnonzero(found.spread > _UNEVEN_WARN)]
     if not axes:
-        return []
+        return
     worst = max(axes, key=lambda axis: found.spread[axis])
     level = found.level[:, worst]
     low, high = int(np.argmin(level)), int(np.argmax(level))
     length = table.duration_s / len(level)
-    return [
-        make_finding(
-            "noise-uneven",
-            sensor=sensor,
-            axes=_named(axes),
-            axis="xyz"[worst],
-            low_level=level[low],
-            low_from_s=low * length,
-            low_to_s=(low + 1) * length,
-            high_level=level[high],
-            high_from_s=high * length,
-            high_to_s=(high + 1) * length,
-        )
-    ]
+    yield make_finding(
+        "noise-uneven",
+        sensor=sensor,
+        axes=_named(axes),
+        axis="xyz"[worst],
+        low_level=level[low],
+        low_from_s=low * length,
+        low_to_s=(low + 1) * length,
+        high_level=level[high],
+        high_from_s=high * length,
+        high_to_s=(high + 1) * length,
+    )
 
 
 def _pattern_findings(found: Stationarity, sensor: str) -> list[Finding]:

@@ -1,6 +1,6 @@
 """Verdict and advice on the noise of an IMU: which coefficients a recording shows, and what a longer one would."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from math import isfinite, pi
 
@@ -253,7 +253,7 @@ def _named(axes: list[int]) -> str:
     return " and ".join("xyz"[axis] for axis in axes)
 
 
-def _length(name: str, triad: TriadNoise) -> list[Finding]:
+def _length(name: str, triad: TriadNoise) -> Iterator[Finding]:
     """Say which averaging times the length supports, and whether they show the floor of the curve."""
     known = [axis.white_noise.sigma / axis.white_noise.value for axis in triad.axes if axis.white_noise.found]
     worst = max(known, default=float("inf"))
@@ -264,53 +264,48 @@ def _length(name: str, triad: TriadNoise) -> list[Finding]:
     hidden = [i for i, axis in enumerate(triad.axes) if not axis.bias_instability.found]
     # The floor is reached where white noise has fallen to it; its bound says what it is at most.
     if not hidden:
-        return [make_finding("noise-length/good", message=message)]
+        yield make_finding("noise-length/good", message=message)
+        return
     short = triad.duration_s < _LONG_S
-    return [
-        make_finding(
-            "noise-length/bound",
-            severity="warning" if triad.duration_s < _SHORT_S else "info",
-            case="short" if short else "",
-            message=message,
-            hidden=_named(hidden),
-            longer=time_span_text(max(4 * triad.duration_s, 3600)),
-        )
-    ]
+    yield make_finding(
+        "noise-length/bound",
+        severity="warning" if triad.duration_s < _SHORT_S else "info",
+        case="short" if short else "",
+        message=message,
+        hidden=_named(hidden),
+        longer=time_span_text(max(4 * triad.duration_s, 3600)),
+    )
 
 
-def _walk(name: str, triad: TriadNoise) -> list[Finding]:
+def _walk(name: str, triad: TriadNoise) -> Iterator[Finding]:
     hidden = [i for i, axis in enumerate(triad.axes) if not axis.random_walk.found]
     if not hidden:
-        return []
+        return
     none = len(hidden) == 3
-    return [
-        make_finding(
-            "noise-walk-bound",
-            severity="warning" if none and triad.duration_s < _SHORT_S else "info",
-            case="none" if none else "",
-            name=name,
-            hidden=_named(hidden),
-            duration=time_span_text(triad.duration_s),
-            longer=time_span_text(max(4 * triad.duration_s, 4 * 3600)),
-        )
-    ]
+    yield make_finding(
+        "noise-walk-bound",
+        severity="warning" if none and triad.duration_s < _SHORT_S else "info",
+        case="none" if none else "",
+        name=name,
+        hidden=_named(hidden),
+        duration=time_span_text(triad.duration_s),
+        longer=time_span_text(max(4 * triad.duration_s, 4 * 3600)),
+    )
 
 
-def _misfit(name: str, triad: TriadNoise) -> list[Finding]:
+def _misfit(name: str, triad: TriadNoise) -> Iterator[Finding]:
     worst = int(np.argmax([axis.misfit for axis in triad.axes]))
     misfit = triad.axes[worst].misfit
     if misfit == 0:
-        return []
+        return
     severity = grade_by_limits("noise misfit", misfit)
-    return [
-        make_finding(
-            "noise-misfit",
-            severity="info" if severity == "good" else severity,
-            name=name,
-            axis="xyz"[worst],
-            misfit=misfit,
-        )
-    ]
+    yield make_finding(
+        "noise-misfit",
+        severity="info" if severity == "good" else severity,
+        name=name,
+        axis="xyz"[worst],
+        misfit=misfit,
+    )
 
 
 def _filtered(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Finding]:
@@ -330,46 +325,38 @@ def _falling(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Fi
     return [make_finding("noise-falls", name=name, axes=_named(axes), longest=time_span_text(longest))]
 
 
-def _other_slope(name: str, fits: tuple[AxisFit, ...]) -> list[Finding]:
+def _other_slope(name: str, fits: tuple[AxisFit, ...]) -> Iterator[Finding]:
     worst = max(fit.other_slope for fit in fits) / 2
     if worst < _OTHER_SLOPE_INFO:
-        return []
-    return [
-        make_finding(
-            "noise-other-slope", severity="warning" if worst > _OTHER_SLOPE_WARN else "info", name=name, worst=worst
-        )
-    ]
+        return
+    yield make_finding(
+        "noise-other-slope", severity="warning" if worst > _OTHER_SLOPE_WARN else "info", name=name, worst=worst
+    )
 
 
-def _axes(name: str, triad: TriadNoise) -> list[Finding]:
+def _axes(name: str, triad: TriadNoise) -> Iterator[Finding]:
     values = [axis.white_noise.most for axis in triad.axes]
     if max(values) < _DIFFERENT * min(values):
-        return []
+        return
     low, high = int(np.argmin(values)), int(np.argmax(values))
-    return [
-        make_finding(
-            "noise-axes-differ", name=name, axis="xyz"[high], ratio=values[high] / values[low], lowest="xyz"[low]
-        )
-    ]
+    yield make_finding(
+        "noise-axes-differ", name=name, axis="xyz"[high], ratio=values[high] / values[low], lowest="xyz"[low]
+    )
 
 
-def _ramp(name: str, triad: TriadNoise) -> list[Finding]:
+def _ramp(name: str, triad: TriadNoise) -> Iterator[Finding]:
     drifting = [i for i, axis in enumerate(triad.axes) if axis.rate_ramp.found]
     if not drifting:
-        return []
+        return
     worst = max(drifting, key=lambda i: triad.axes[i].rate_ramp.value)
     total = triad.axes[worst].rate_ramp.value * triad.duration_s
     unit = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}[name]
-    return [
-        make_finding("noise-drift", name=name, drifting=_named(drifting), total=total, unit=unit, axis="xyz"[worst])
-    ]
+    yield make_finding("noise-drift", name=name, drifting=_named(drifting), total=total, unit=unit, axis="xyz"[worst])
 
 
-def _usual(name: str, triad: TriadNoise) -> list[Finding]:
+def _usual(name: str, triad: TriadNoise) -> Iterator[Finding]:
     low, high = _USUAL[name]
     if low < triad.noise_density < high:
-        return []
+        return
     unit = {"accelerometer": "m/s^2/sqrt(Hz)", "gyroscope": "rad/s/sqrt(Hz)"}[name]
-    return [
-        make_finding("noise-implausible", name=name, noise_density=triad.noise_density, unit=unit, low=low, high=high)
-    ]
+    yield make_finding("noise-implausible", name=name, noise_density=triad.noise_density, unit=unit, low=low, high=high)

@@ -1,5 +1,7 @@
 """What a calibration from rests was made of and how well it explains them, as tables for the report."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
@@ -306,20 +308,19 @@ def _rotation_findings(gyroscope: RestingGyroscope) -> list[Finding]:
     return findings
 
 
-def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
+def _scale_findings(gyroscope: RestingGyroscope) -> Iterator[Finding]:
     if gyroscope.sensitivity is None:
-        return [make_finding("gyroscope-scale-unknown")]
+        yield make_finding("gyroscope-scale-unknown")
+        return
     if not gyroscope.assumed:
-        return []
+        return
     if gyroscope.turned is not None and gyroscope.turned.measured.any():
-        return []  # said with the rotations
-    return [
-        make_finding(
-            "gyroscope-scale-assumed",
-            unit=gyroscope.unit,
-            case="not-level" if gyroscope.rotation_reasons else "",
-        )
-    ]
+        return
+    yield make_finding(
+        "gyroscope-scale-assumed",
+        unit=gyroscope.unit,
+        case="not-level" if gyroscope.rotation_reasons else "",
+    )
 
 
 def _scatter_findings(gyroscope: RestingGyroscope) -> list[Finding]:

@@ -3,7 +3,7 @@
 Also what it shares with those on turntables and magnetometers, the other calibrations from known magnitudes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -177,7 +177,7 @@ def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]
     return [make_finding("holdout-accelerometer/poses", severity=severity, holdout_m_s2=holdout_m_s2)]
 
 
-def _uncertainty_findings(evidence: PoseFitSummary) -> list[Finding]:
+def _uncertainty_findings(evidence: PoseFitSummary) -> Iterator[Finding]:
     fit, gravity = evidence.fit, evidence.gravity
     sigma = relative_sigmas(fit)
     scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
@@ -187,16 +187,14 @@ def _uncertainty_findings(evidence: PoseFitSummary) -> list[Finding]:
     if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
         severity = most_severe(severity, grade_by_limits("axes", angle))
     axes = "its axes" if own_frame else "its axes in the jig"
-    return [
-        make_finding(
-            "uncertainty-accelerometer",
-            severity=severity,
-            scale=scale,
-            axes=axes,
-            angle=angle,
-            advice=farthest_attitude(fit.direction[fit.used]),
-        )
-    ]
+    yield make_finding(
+        "uncertainty-accelerometer",
+        severity=severity,
+        scale=scale,
+        axes=axes,
+        angle=angle,
+        advice=farthest_attitude(fit.direction[fit.used]),
+    )
 
 
 def farthest_attitude(direction: Floats) -> str:

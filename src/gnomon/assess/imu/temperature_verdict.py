@@ -1,6 +1,6 @@
 """What there is to say of a sensor over its temperature."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -103,12 +103,12 @@ def _sensitivity_finding(name: str, triad: TriadOverTemperature, result: Tempera
     return make_finding("temperature-scale/found", name=name, order=triad.order, change=change, sigma=sigma, range=span)
 
 
-def _felt_findings(result: TemperatureResult) -> list[Finding]:
+def _felt_findings(result: TemperatureResult) -> Iterator[Finding]:
     """Say by how much the gyroscope's g-sensitivity changes, where it does."""
     name, imu = next(iter(result.calibration.imus.items()))
     found = imu.temperature
     if found is None or found.gyroscope_g_sensitivity is None or imu.gyroscope is None:
-        return []
+        return
     ends = found.change("gyroscope_g_sensitivity", np.array([result.low_degc, result.high_degc]))
     change = np.abs(ends[1] - ends[0])
     worst = np.unravel_index(int(np.argmax(change)), change.shape)
@@ -116,35 +116,31 @@ def _felt_findings(result: TemperatureResult) -> list[Finding]:
     slope = result.calibration.sigma(f"{name}.temperature.gyroscope_g_sensitivity")[(0, *worst)]
     readings = np.cbrt(np.abs(np.linalg.det(imu.required_accelerometer.sensitivity)))
     per_si = 1e3 * readings / np.cbrt(np.abs(np.linalg.det(imu.gyroscope.sensitivity)))
-    return [
-        make_finding(
-            "temperature-g-sensitivity",
-            change=float(per_si * change[worst]),
-            sigma=float(per_si * span * slope),
-            order=order,
-            range=span,
-        )
-    ]
+    yield make_finding(
+        "temperature-g-sensitivity",
+        change=float(per_si * change[worst]),
+        sigma=float(per_si * span * slope),
+        order=order,
+        range=span,
+    )
 
 
-def _branch_findings(name: str, triad: TriadOverTemperature) -> list[Finding]:
+def _branch_findings(name: str, triad: TriadOverTemperature) -> Iterator[Finding]:
     z = np.abs(triad.branches) / triad.branches_sigma
     change = max(float(np.ptp(axis.change)) for axis in triad.axes)
     apart = (z > _BRANCHES_SIGMAS) & (np.abs(triad.branches) > _BRANCHES_SHARE * change)
     if not apart.any():
-        return []
+        return
     axis = int(np.nanargmax(np.where(apart, z, np.nan)))
     factor, unit = _SHOWN[name]
-    return [
-        make_finding(
-            "temperature-branches",
-            name=name,
-            axis="xyz"[axis],
-            apart=factor * float(triad.branches[axis]),
-            sigma=factor * float(triad.branches_sigma[axis]),
-            unit=unit,
-        )
-    ]
+    yield make_finding(
+        "temperature-branches",
+        name=name,
+        axis="xyz"[axis],
+        apart=factor * float(triad.branches[axis]),
+        sigma=factor * float(triad.branches_sigma[axis]),
+        unit=unit,
+    )
 
 
 def _off(triad: TriadOverTemperature) -> tuple[str, int, float] | None:

@@ -115,7 +115,7 @@ def calibrate_as_published(recording: Recording, prepared: PreparedImu, options:
     turned = fit_rotations(prepared, rules, search, t_init_s)
     diagnostics = describe_tedaldi(prepared, search, turned, gravity.value)
     estimate = _estimate(search, turned)
-    imus = {"imu0": imu_calibration(estimate, prepared)}
+    imus = {"imu0": imu_calibration(estimate, prepared.units)}
     calibration = Calibration(
         imus=imus,
         frame="accel-z",

@@ -1,6 +1,6 @@
 """Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import combinations
 
@@ -267,19 +267,19 @@ def stated_options(
     return stated | chip_temperature(recordings)
 
 
-def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibration:
-    """Return estimated parameters as the calibration of a prepared IMU."""
+def imu_calibration(estimate: ImuEstimate, units: Mapping[str, str]) -> ImuCalibration:
+    """Return estimated parameters as the calibration of an IMU whose triads are in these units."""
     return ImuCalibration(
         accelerometer=AccelerometerCalibration(
             sensitivity=estimate.accelerometer_sensitivity,
             bias=estimate.accelerometer_bias,
-            unit=prepared.accelerometer.unit,
+            unit=units["accelerometer"],
         ),
         gyroscope=GyroscopeCalibration(
             sensitivity=estimate.gyroscope_sensitivity,
             bias=estimate.gyroscope_bias,
             g_sensitivity=estimate.g_sensitivity,
-            unit=prepared.gyroscope.unit,
+            unit=units["gyroscope"],
         ),
     )
 
