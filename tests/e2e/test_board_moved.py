@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.assess.cameras.rig_residuals import judged_again
+from gnomon.assess.cameras.rig_findings import judged_again
 from gnomon.assess.checks.board_views import BoardMove, BoardTurns, board_move
 from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.findings import Finding

@@ -10,13 +10,20 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..assess.cameras.added_parts import added_findings, delays_found, misfits_found, out_of_order, steps_left_out
 from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
 from ..assess.cameras.camera_imu_verdict import assess_camera_imu, camera_imu_weak
-from ..assess.cameras.rig_residuals import judged_again, unmodelled_effects
+from ..assess.cameras.rig_findings import (
+    added_findings,
+    delays_found,
+    judged_again,
+    misfits_found,
+    out_of_order,
+    steps_left_out,
+    unmodelled_effects,
+)
 from ..assess.changes import with_changes
 from ..assess.checks.board_views import without_copies
-from ..assess.checks.temperature_checks import check_temperature
+from ..assess.imu.temperature import check_temperature
 from ..assess.needs import with_precision
 from ..assess.priors import Priors, prior_used, refuse_own_data
 from ..assess.verdict import (

@@ -13,10 +13,10 @@ import numpy as np
 
 from ..assess.checks.imu_checks import TELLS_RESTS, check_protocol, find_imu_rests
 from ..assess.checks.signals import check_turns, copied_stretches, dead_band_finding, isolated_finding
-from ..assess.checks.temperature_checks import check_temperature
 from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import StillSpans, assess_noise, check_length, check_samples, check_still
+from ..assess.imu.temperature import check_temperature
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..detect.samples.faults import RepeatWatch, dead_bands, isolated_readings, without_readings
 from ..detect.samples.rest_watch import RestTable, RestWatch

@@ -10,8 +10,7 @@ from functools import cache
 import numpy as np
 
 from ..assess.checks.signals import check_signal
-from ..assess.checks.temperature_checks import check_temperature
-from ..assess.imu.temperature_verdict import temperature_findings
+from ..assess.imu.temperature import check_temperature, temperature_findings
 from ..assess.verdict import SEVERITIES, verdict_of
 from ..errors import OptionError, RecordingError
 from ..estimate.temperature.bias_drift import (

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .._version import __version__
-from ..assess.comparison.comparison import Comparison, Difference, Repeatability
-from ..assess.comparison.comparison_words import block_words, shown_unit, typical_size
+from ..assess.comparison.comparison import Comparison, Difference, Repeatability, block_words, shown_unit, typical_size
 from ..assess.comparison.verification import Verification, movement_words
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.cameras.added_parts import added_findings
+from gnomon.assess.cameras.rig_findings import added_findings
 from gnomon.estimate.camera_imu.parameters import (
     BoardPoints,
     CameraParameters,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.cameras.rig_residuals import outlying_corners
+from gnomon.assess.cameras.rig_findings import outlying_corners
 from gnomon.results.camera_diagnostics import CornerFit
 
 FRAMES, POINTS = 50, 48

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.temperature_checks import check_temperature, warm_up
+from gnomon.assess.imu.temperature import check_temperature, warm_up
 from gnomon.recording import TemperatureSamples
 
 T = np.arange(0.0, 600.0, 0.5)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.cameras.rig_residuals import residual_correlation, wandering_residuals
+from gnomon.assess.cameras.rig_findings import residual_correlation, wandering_residuals
 from gnomon.assess.verdict import model_incomplete, parts_disagree, time_shift_varies, uncertainty_summary
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.comparison.comparison_words import block_words
+from gnomon.assess.comparison.comparison import block_words
 from gnomon.cli import main
 from gnomon.cli.commands.compare import read_comparison
 from gnomon.cli.files import sources_of

@@ -10,7 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import problem
-from gnomon.assess.cameras.rig_residuals import cut_findings
+from gnomon.assess.cameras.rig_findings import cut_findings
 from gnomon.errors import FormatError, OptionError
 from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.parameters import ImuParameters

@@ -20,7 +20,7 @@ from ..directions import across_words, axis_words
 from ..observability import PLACES_AND_CLOCKS, known_of, weak_directions, weak_findings
 from ..verdict import grade_by_limits, gravity_findings, most_severe, with_verdict
 from .camera_imu_tables import MISFIT, NO_BOARD, NOTHING, CameraImuFitSummary
-from .rig_residuals import cut_findings, residual_findings
+from .rig_findings import cut_findings, residual_findings
 
 if TYPE_CHECKING:
     from ...estimate.camera_imu.result.publish import PublishedRig

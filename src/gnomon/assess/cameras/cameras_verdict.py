@@ -14,7 +14,7 @@ from ..checks.board_views import image_coverage
 from ..checks.rig_doctor import ENOUGH_VIEWS
 from ..verdict import grade_by_limits, most_severe, parts_disagree, underestimated_blocks, with_verdict
 from .cameras_tables import MISFIT, CamerasFitSummary, LensOpinion
-from .rig_residuals import outlying_corners
+from .rig_findings import outlying_corners
 
 _COVERED = 0.5  # of the image
 _CORNER = 0.25  # of width and height

@@ -15,8 +15,8 @@ from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, 
 from ...recording.order_statistics import distinct_values, median_of, quantile_of
 from ...results.result import StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+from ..imu.temperature import check_temperature
 from .signals import axis_extremes, check_exchanged, check_signal, check_stamps, check_vibration, is_silent
-from .temperature_checks import check_temperature
 
 TELLS_RESTS = ("attitudes", "always-static", "intervals-left-out")
 _LISTED = 6  # runs of rests with one reason

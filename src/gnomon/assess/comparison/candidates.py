@@ -6,19 +6,22 @@ to the triad, and the g-sensitivity. Scale and misalignment are the same in ever
 the derivatives of all of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
+from itertools import combinations
 from typing import Literal, Self, cast
 
 import numpy as np
 
 from ...errors import OptionError
+from ...findings import Finding, join_names, make_finding
 from ...formats.foreign import FOREIGN_METHOD, ForeignCalibration
 from ...frozen import FrozenMapping, value_class
 from ...models.camera import Camera
+from ...models.frames import Origin
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import TRUTH_METHOD, Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
-from ...results.moved import moved_into_frame
+from ...results.moved import moved_into_frame, moved_to_origin
 from ...results.sensors import calibration_parameters, covariance_names, element_names
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
@@ -205,3 +208,104 @@ def _in_si(imu: ImuCalibration) -> tuple[ImuCalibration, Floats]:
         triads[triad] = replace(sensor, unit=si) if size else sensor
     factors = [np.full(value.size, factor.get(path, 1.0)) for path, value in calibration_parameters({"": imu})]
     return replace(imu, **triads), frozen_array(np.concatenate(factors))
+
+
+_SIGNIFICANT = 3.0  # sigmas
+_CHIP_M = 0.01
+_MATTERS_M = 1e-4
+_OFF_P_STAR = 0.3
+"""Share of a lever arm by which a model with one place may be off the p* of another recording or program,"""
+
+
+_OFF_OWN = 0.01
+"""and off that which its own estimate tells."""
+
+
+def at_common_origins(candidates: Sequence[ComparisonCandidate]) -> list[ComparisonCandidate]:
+    """Return the candidates, all in one body frame, with the origin of each IMU at one point as far as that is known.
+
+    It is the p* of one with one place for all accelerometers, which cannot be moved; else of the first that states
+    its own; else that of a motion alike about all axes.
+    """
+    origins = {name: _common(candidates, name) for one in candidates for name in one.imus}
+    return [_at(one, origins) for one in candidates]
+
+
+def _common(candidates: Sequence[ComparisonCandidate], imu: str) -> Origin:
+    held = [one for one in candidates if imu in one.imus]
+    weighed = sorted(
+        (accelerometer_positions(one, imu) is not None, number)
+        for number, one in enumerate(held)
+        if (origin := one.imus[imu].origin) is not None and origin.weights is not None
+    )
+    if not weighed:
+        return Origin(point="optimal")
+    known = held[weighed[0][1]].imus[imu].origin
+    assert known is not None
+    return Origin(point="optimal", weights=known.weights)
+
+
+def accelerometer_positions(one: ComparisonCandidate, imu: str) -> Floats | None:
+    """Return where the accelerometers of an IMU sit, (3, 3) [m]; None where they are at one point."""
+    sensor = one.imus[imu].accelerometer if imu in one.imus else None
+    return None if sensor is None else sensor.lever_arms_m
+
+
+def _at(one: ComparisonCandidate, origins: Mapping[str, Origin]) -> ComparisonCandidate:
+    if all(accelerometer_positions(one, imu) is None for imu in one.imus):
+        return one
+    moved = moved_to_origin(one.imus, one.cameras, origins)
+    covariance = one.covariance
+    if covariance is not None:
+        matrix = moved.jacobian @ covariance.matrix @ moved.jacobian.T
+        covariance = Covariance(names=covariance.names, matrix=matrix)
+    return replace(one, imus=moved.imus, cameras=moved.cameras, covariance=covariance)
+
+
+def origin_findings(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding]:
+    """Say whose translations are of points that are not quite the same, and by how much."""
+    for imu in dict.fromkeys(name for one in candidates for name in one.imus):
+        held = [one for one in candidates if imu in one.imus and (one.cameras or len(one.imus) > 1)]
+        rest = [one for one in held if accelerometer_positions(one, imu) is None and not one.exact]
+        having = {one.name: longest for one in held if (longest := _longest(one, imu)) > 0}
+        if having and rest:
+            most = max(having.values())
+            share = _OFF_P_STAR if any(_weights(one, imu) is None for one in rest) else _OFF_OWN
+            yield make_finding(
+                "lever-arms-in-some",
+                having=join_names(list(having)),
+                imu=imu,
+                rest=join_names([one.name for one in rest]),
+                off_mm=1e3 * share * most,
+            )
+        for first, second in combinations(rest, 2):
+            apart = _points_apart(first, second, imu)
+            if apart > _MATTERS_M:
+                yield make_finding("origins-differ", first=first.name, second=second.name, imu=imu, apart=apart)
+
+
+def _longest(one: ComparisonCandidate, imu: str) -> float:
+    """Return the longest lever arm that is there beyond its uncertainty [m]; zero where none is."""
+    arms = accelerometer_positions(one, imu)
+    if arms is None:
+        return 0.0
+    sigma = np.zeros(9)
+    if one.covariance is not None:
+        at = [one.covariance.names.index(name) for name in element_names(f"{imu}.accelerometer.lever_arms_m", (3, 3))]
+        sigma = np.sqrt(np.diag(one.covariance.matrix)[at])
+    proved = (np.abs(arms.ravel()) > _SIGNIFICANT * np.nan_to_num(sigma)).reshape(3, 3)
+    return float(np.linalg.norm(arms * proved, axis=1).max())
+
+
+def _points_apart(first: ComparisonCandidate, second: ComparisonCandidate, imu: str) -> float:
+    """Return how far the points of two motions are apart, of accelerometers at random 10 mm from each other [m]."""
+    weights = [_weights(one, imu) for one in (first, second)]
+    if weights[0] is None or weights[1] is None:
+        return 0.0
+    return float(_CHIP_M * np.linalg.norm(weights[0] - weights[1]) / np.sqrt(3))
+
+
+def _weights(one: ComparisonCandidate, imu: str) -> Floats | None:
+    """Return what p* of an IMU is made of, where that is known."""
+    origin = one.imus[imu].origin
+    return None if origin is None else origin.weights

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import FormatError, OptionError
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers, frozen_array, recorded_hashes, shared_sources
-from .candidates import FRAME, ComparisonCandidate, in_common_frame
+from .candidates import FRAME, ComparisonCandidate, at_common_origins, in_common_frame
 from .comparison import (
     UNJUDGED,
     ComparedCalibration,
@@ -23,7 +23,6 @@ from .comparison import (
     lens_difference,
 )
 from .comparison_findings import with_words
-from .comparison_words import at_common_origins
 from .quantities import ComparedQuantity, Statement, statement_of, with_scatter_between_recordings
 
 _MIXED_UNITS = 1.5

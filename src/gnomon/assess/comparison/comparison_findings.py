@@ -14,9 +14,8 @@ from ...recording import Floats, shared_sources
 from ...results.trust import Verdict
 from ..needs import number_words
 from ..verdict import merge_by_cause
-from .candidates import ComparisonCandidate
-from .comparison import Comparison, Difference, standing_out
-from .comparison_words import block_words, origin_findings, sigma_text, size_text
+from .candidates import ComparisonCandidate, origin_findings
+from .comparison import Comparison, Difference, block_words, sigma_text, size_text, standing_out
 
 _INVERSE = 0.1  # share of the distance that is left when one pose is inverted
 _ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances

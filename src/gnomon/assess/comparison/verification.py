@@ -31,9 +31,9 @@ from ...results.calibration import ImuCalibration, Provenance
 from ...results.trust import QuantityChange, Verdict
 from ..changes import OF_HEADING, lens_movement, needed_of, told_with_cure, unit_of_quantity
 from ..verdict import merge_by_cause, verdict_of
-from .candidates import ComparisonCandidate, in_common_frame
+from .candidates import ComparisonCandidate, at_common_origins, in_common_frame
 from .comparing import shares_gravity, subtract_quantity
-from .comparison_words import at_common_origins, block_words
+from .comparison import block_words
 from .quantities import ComparedQuantity, Statement, statement_of
 
 State = Literal["holds", "moved", "cannot tell"]

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ...assess.checks.imu_checks import check_by_rests, find_imu_rests
-from ...assess.checks.temperature_checks import CHIP_DEGC
+from ...assess.imu.temperature import CHIP_DEGC
 from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
 from ...detect.samples.rests import RestDetection
 from ...detect.samples.static_intervals import resting_noise, rounding_variance

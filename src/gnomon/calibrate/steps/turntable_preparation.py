@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
-from ...assess.checks.temperature_checks import check_temperature
+from ...assess.imu.temperature import check_temperature
 from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError

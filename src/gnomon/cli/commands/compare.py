@@ -138,7 +138,7 @@ def _print(found: "Comparison", terminal: Terminal) -> None:
 
 def _lines(found: "Comparison") -> Iterator[str]:
     """Yield a table of the blocks, whose columns are as wide as they must be."""
-    from ...assess.comparison.comparison_words import block_words
+    from ...assess.comparison.comparison import block_words
 
     two = len(found.calibrations) == 2
     rows = [("", "differ" if two else "scatter", "sigma", "", "z rms", "max |z|")]
@@ -156,7 +156,7 @@ def _lines(found: "Comparison") -> Iterator[str]:
 
 def _sizes(found: "Comparison", block: "Repeatability") -> tuple[str, str, str]:
     """Return how far a block scatters, or two differ, its sigma, and the unit; root mean squares over its scalars."""
-    from ...assess.comparison.comparison_words import typical_size
+    from ...assess.comparison.comparison import typical_size
 
     numbers = block.scatter, block.predicted
     pair = [item for item in found.differences if item.path == block.path]
