@@ -200,7 +200,7 @@ RIG = {
 
 @pytest.mark.long
 def test_a_camera_that_was_knocked_is_named():
-    scenario = CameraImuScenario(duration_s=30.0, sensor_seed=1)
+    scenario = CameraImuScenario(duration_s=30.0, imu_rate_hz=100.0, camera_rate_hz=10.0, sensor_seed=1)
     first, second = (simulate_camera_imu(scenario, seed) for seed in (1, 2))
     calibration = gnomon.calibrate_camera_imu(first.recording, first.target).calibration
     fresh = gnomon.calibrate_camera_imu(second.recording, second.target).calibration
@@ -281,7 +281,7 @@ def test_a_verification_starts_from_the_calibration_and_ends_where_one_without_d
 @cache
 def rig():
     """Return a calibration of camera and IMU and a fresh recording of them."""
-    scenario = CameraImuScenario(duration_s=30.0, sensor_seed=3)
+    scenario = CameraImuScenario(duration_s=30.0, imu_rate_hz=100.0, camera_rate_hz=10.0, sensor_seed=3)
     first, second = (simulate_camera_imu(scenario, seed) for seed in (3, 903))
     return gnomon.calibrate_camera_imu(first.recording, first.target).calibration, second
 
