@@ -144,8 +144,8 @@ def rates_by_camera(turns: SeenTurns, stream: ImuStream) -> Floats:
     """
     columns = np.concatenate([stream.rate, np.ones((len(stream.rate), 1)), stream.force], axis=1)
     usual = np.tile(np.concatenate([np.full(3, _SENSITIVITY), [_BIAS_RAD_S], np.full(3, _G_SENSITIVITY)]) ** -2.0, 3)
-    correction = np.zeros((3, 7))
-    for _ in range(_TURN_ROUNDS):
+
+    def change(correction: Floats) -> Floats:
         rate = stream.rate + columns @ correction.T
         R = attitudes_of(rate, stream.t_s, stream.t_s)
         # a correction of the rate turns the world axes by the integral of R times it
@@ -159,9 +159,12 @@ def rates_by_camera(turns: SeenTurns, stream: ImuStream) -> Floats:
         weight = np.minimum(1.0, _ROBUST * sigma / np.maximum(length, 1e-12)) ** 2 / sigma**2
         weighted = J * weight[:, None, None]
         H = np.einsum("pai,paj->ij", weighted, J) + np.diag(usual)
-        correction += np.linalg.solve(H, np.einsum("pai,pa->i", weighted, off) - usual * correction.ravel()).reshape(
-            3, 7
-        )
+        solved = np.linalg.solve(H, np.einsum("pai,pa->i", weighted, off) - usual * correction.ravel())
+        return np.asarray(solved.reshape(3, 7), np.float64)
+
+    correction = np.zeros((3, 7))
+    for _ in range(_TURN_ROUNDS):
+        correction += change(correction)
     return stream.rate + columns @ correction.T
 
 
@@ -216,7 +219,9 @@ def find_scene_path(
     depth, weight = np.full(len(frame), _USUAL_M), np.ones(len(frame))
     angle = np.zeros(len(frame))
     width = 3 * keys + 3
-    for _ in tell_parts("finding where the camera went", range(_ROUNDS), _ROUNDS):
+
+    def solved(depth: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the unknowns (3 k + 9,), the camera at key frames (k, 3), and the points (n, 3)."""
         blocks = across * (weight / (depth * _RAY_RAD) ** 2)[:, None, None]
         of_point, of_frame = np.zeros((count, 3, 3)), np.zeros((keys, 3, 3))
         np.add.at(of_point, point, blocks)
@@ -231,13 +236,17 @@ def find_scene_path(
         y = np.linalg.solve(H_y, rhs_inertial)
         C = (y[: 3 * keys] + arms @ y[3 * keys : width]).reshape(keys, 3)
         places = np.einsum("nij,nj->ni", inverse, (W @ C.ravel()).reshape(count, 3))
+        return np.asarray(y, np.float64), C, places
+
+    for _ in tell_parts("finding where the camera went", range(_ROUNDS), _ROUNDS):
+        y, C, places = solved(depth, weight)
         toward = places[point] - C[frame]
         depth = np.clip(np.einsum("mi,mi->m", toward, ray), *_DEPTHS_M)
         angle = np.linalg.norm(np.einsum("mij,mj->mi", across, toward), axis=1) / depth
         weight = np.minimum(1.0, _RAY_RAD / 5 / np.maximum(angle, 1e-12))
     return ScenePath(
-        position=np.asarray(y[: 3 * keys].reshape(keys, 3), np.float64),
-        arm=np.asarray(y[3 * keys : width], np.float64),
+        position=y[: 3 * keys].reshape(keys, 3),
+        arm=y[3 * keys : width],
         points=places,
         angle=np.asarray(angle, np.float64),
     )

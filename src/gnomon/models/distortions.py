@@ -109,15 +109,20 @@ def solve_rising(function: Callable[[Floats], Pair], target: Floats, limit: floa
     for _ in range(100):
         value, slope = function(x)
         below = value < target
-        low, high = np.where(below, x, low), np.where(below, high, x)
+        low, high = _either(below, x, low), _either(below, high, x)
         following = x - (value - target) / slope
         escaped = ~((following >= low) & (following <= high))  # not a number, too
-        following = np.where(escaped, 0.5 * (low + high), following)
+        following = _either(escaped, 0.5 * (low + high), following)
         still = np.abs(following - x) > 4 * np.finfo(float).eps * x
         x = following
         if not (still & found).any():
             break
     return x, found & (x < limit)
+
+
+def _either(chosen: Booleans, one: Floats, other: Floats) -> Floats:
+    """Return the one where it is chosen, and the other elsewhere; of these types, which tools need not search for."""
+    return np.where(chosen, one, other)
 
 
 def arctan_over_x(square: Floats) -> Pair:
@@ -224,8 +229,8 @@ def _newton_radtan(coeffs: Floats, limit: float, target: Pair, start: Pair) -> t
     for _ in range(100):
         sx, sy, size = _newton_step(coeffs, tx, ty, target)
         better = (size < error) & (tx * tx + ty * ty < limit * limit)
-        mx, my, error = np.where(better, tx, mx), np.where(better, ty, my), np.where(better, size, error)
-        nx, ny = np.where(better, sx, nx), np.where(better, sy, ny)
+        mx, my, error = _either(better, tx, mx), _either(better, ty, my), _either(better, size, error)
+        nx, ny = _either(better, sx, nx), _either(better, sy, ny)
         step = np.where(better, 1.0, 0.5 * step)
         if not ((error > precise) & (step > 1e-4)).any():
             break

@@ -372,16 +372,24 @@ def _columns(
 
 def _feet(x: Floats, w: Floats, body: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return u, spread, q, error and sigma of Latent for poses of known length only; u is the foot, and q is u."""
-    u = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), np.sqrt(_TINY))
+    u = _unit(x)
     for _ in range(_FOOT_STEPS):
-        pull = (body @ u[..., None])[..., 0]
-        variance = np.einsum("ki,ki->k", u, pull)
-        foot = x - pull * ((np.einsum("ki,ki->k", u, x) - w) / variance)[:, None]
-        u = foot / np.maximum(np.linalg.norm(foot, axis=1, keepdims=True), np.sqrt(_TINY))
+        u = _unit(_nearer_foot(x, w, body, u))
     pull = (body @ u[..., None])[..., 0]
     variance = np.einsum("ki,ki->k", u, pull)
     across = np.trace(body, axis1=1, axis2=2) - np.einsum("ki,ki->k", pull, pull) / variance
     return u, across / w**2, u, np.einsum("ki,ki->k", u, x) - w, np.sqrt(variance)
+
+
+def _nearer_foot(x: Floats, w: Floats, body: Floats, u: Floats) -> Floats:
+    """Return the point (k, 3) nearest to x on the plane that touches the sphere at u."""
+    pull = (body @ u[..., None])[..., 0]
+    variance = np.einsum("ki,ki->k", u, pull)
+    return x - pull * ((np.einsum("ki,ki->k", u, x) - w) / variance)[:, None]
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.sqrt(_TINY))
 
 
 def _posteriors(
@@ -392,15 +400,23 @@ def _posteriors(
     angle = np.where(known, sigma, 0.0)
     u = np.where(known[:, None], direction, 0.0)
     prior = (angle**2)[:, None, None] * np.eye(3)
-    across, gain, total, error = prior, prior, body, x
-    for step in range(_TURN_STEPS + 1):
+
+    def spread_at(u: Floats) -> tuple[Floats, Floats]:
         across = prior - (angle**2)[:, None, None] * u[:, :, None] * u[:, None, :]
-        total = body + (w**2)[:, None, None] * across
+        return across, body + (w**2)[:, None, None] * across
+
+    def gain_of(across: Floats, total: Floats) -> Floats:
+        return w[:, None, None] * np.swapaxes(np.linalg.solve(total, across), 1, 2)
+
+    def improved(u: Floats) -> Floats:
         offset = _logarithm(u, direction)
         error = x - w[:, None] * (u + offset)
-        gain = w[:, None, None] * np.swapaxes(np.linalg.solve(total, across), 1, 2)
-        if step < _TURN_STEPS and angle.any():
-            u = _exponential(u, offset + np.einsum("kij,kj->ki", gain, error))
+        return _exponential(u, offset + np.einsum("kij,kj->ki", gain_of(*spread_at(u)), error))
+
+    for _ in range(_TURN_STEPS if angle.any() else 0):
+        u = improved(u)
+    across, total = spread_at(u)
+    gain, error = gain_of(across, total), x - w[:, None] * (u + _logarithm(u, direction))
     spread = np.trace(across - w[:, None, None] * gain @ across, axis1=1, axis2=2)
     variance, vectors = np.linalg.eigh(total)
     q = np.swapaxes(vectors, 1, 2)
