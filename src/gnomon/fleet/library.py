@@ -69,7 +69,7 @@ class Library:
             raise
 
     def _bring_up_to_date(self, place: str, *, read_only: bool) -> None:
-        from .entries import migrate_schema, needs_migration
+        from .schema import migrate_schema, needs_migration
 
         with self._engine.connect() as connection:
             outdated = needs_migration(connection, place)
@@ -99,7 +99,7 @@ class Library:
 
     def keep_run(self, key: str, record: str, entry: LibraryEntry | None) -> None:
         """Keep the record of a run and its calibration, both or neither."""
-        from .entries import RUNS
+        from .schema import RUNS
 
         with self._writing() as connection:
             if entry is not None:
@@ -227,7 +227,7 @@ def _insert(connection: "Connection", entry: LibraryEntry) -> bool:
     """Insert a calibration where it is not there yet, within the transaction of a writer."""
     from sqlalchemy import select
 
-    from .entries import CALIBRATIONS, DETAILS, LAYOUTS
+    from .schema import CALIBRATIONS, DETAILS, LAYOUTS
 
     key = entry.key
     if connection.scalar(select(CALIBRATIONS.c.id).where(CALIBRATIONS.c.key == key)) is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ...options import MagnetometerOptions
-from ...simulate import FieldScenario
+from ...simulate.scenarios.recorded import FieldScenario
 from ..command import CertificateFacts, Command, Flat, ForUse, Input, Report, Seed, output_option
 from ..files import default_folder, read_priors, read_use_option, result_folder
 from ..results import common_decimals, judged_result, print_assumptions, print_result, result_with_reading, write_result

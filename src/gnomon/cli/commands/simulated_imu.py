@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...options import ImuOptions
-from ...simulate import PoseScenario, Scenario
+from ...simulate.scenarios.recorded import PoseScenario, Scenario
 from ..command import Command, Flat, Report, Seed, output_option
 from ..files import DEMO_RECORDING, RESULT_FILES, TRUTH, result_folder
 from ..results import USABLE, common_decimals, common_power, print_result, summary_lines, write_result
