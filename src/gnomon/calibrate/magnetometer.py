@@ -9,8 +9,7 @@ import numpy as np
 
 from ..assess.changes import with_changes
 from ..assess.checks.doctor import check_field_samples
-from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
-from ..assess.imu.magnetometer_verdict import assess_field
+from ..assess.imu.magnetometer_verdict import FieldFitSummary, assess_field, describe_field
 from ..assess.imu.temperature import check_temperature
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..detect.samples.faults import repair_samples, saturated_samples

@@ -38,8 +38,7 @@ from ..results.trust import Need, WeakDirection
 from ..simulate.planned import CameraImuPlan, ImuPlan, PlannedRig, planned_rests, usual_rig
 from ..simulate.sensor import changed_options
 from .judging import stated_use
-from .plan_camera_imu import planned_camera_imu
-from .predicted_imu import nominal_fit, predicted_calibration
+from .predicted import nominal_fit, planned_camera_imu, predicted_calibration
 from .steps.preparation import local_gravity
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..assess.checks.imu_checks import distinct_attitudes, find_imu_rests
 from ..assess.needs import needs_of_use
-from ..calibrate.predicted_imu import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
+from ..calibrate.predicted import NominalFit, nominal_fit, predicted_calibration, with_one_more_rest
 from ..calibrate.steps.preparation import weighted_stream
 from ..detect.samples.faults import repair_samples, saturated_samples
 from ..errors import GnomonError, SolveError

@@ -7,7 +7,7 @@ from gnomon import CameraImuPlan, ImuPlan, plan
 from gnomon.assess.cameras.camera_imu_verdict import through_stated_focal
 from gnomon.assess.directions import axis_words, duration_text
 from gnomon.assess.observability import LIMITS, known_of, weak_directions
-from gnomon.calibrate.plan_camera_imu import planned_camera_imu
+from gnomon.calibrate.predicted import planned_camera_imu
 from gnomon.models.noise import CONSUMER_MEMS
 from gnomon.simulate.planned import usual_rig
 
