@@ -20,7 +20,7 @@ import cv2
 from imu import HERE, Table, machine, median_cpu
 
 from gnomon.calibrate.platter_rate import rate_from_video
-from gnomon.readers.images.camera_places import video_place
+from gnomon.readers.images.image_files import video_place
 from gnomon.readers.images.video import video_stream
 from gnomon.readers.recordings import ReadLog
 from gnomon.simulate.images.platter_video import simulate_platter_video

@@ -14,7 +14,7 @@ import gnomon
 from bag_maker import T0, compressed, imu, make_bag, usual
 from bag_maker import image as image_message
 from gnomon.readers.images.frame_stamps import is_frame_table, read_frame_table
-from gnomon.readers.images.image_file import read_grey, used_bits
+from gnomon.readers.images.image_files import read_grey, used_bits
 from gnomon.readers.images.image_pixels import (
     ENCODINGS,
     RawImage,

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..detect.platter.rate import PlatterRate, platter_rate
 from ..errors import DetectionError, RecordingError
 from ..progress import Progress
-from ..readers.images.camera_places import video_place
+from ..readers.images.image_files import video_place
 from ..readers.images.image_recording import holds_images, open_images
 from ..readers.recordings import ReadLog
 from ..recording.frames import ImageStream
@@ -48,7 +48,7 @@ def rate_from_video(
 
 def _stream(place: Path) -> ImageStream:
     """Return the images; of a video without what lies beside it, but for a table of its timestamps."""
-    from ..readers.images.image_file import is_video
+    from ..readers.images.image_files import is_video
     from ..readers.images.video import video_stream  # PyAV takes its time
 
     if not place.exists():

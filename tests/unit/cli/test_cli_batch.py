@@ -9,7 +9,7 @@ import pytest
 
 from gnomon.cli import main
 from gnomon.cli.command import CertificateFacts
-from gnomon.cli.devices import device_facts, find_recordings, read_device_table, serial_and_date
+from gnomon.cli.commands.batch import device_facts, find_recordings, read_device_table, serial_and_date
 from gnomon.errors import FormatError, RecordingError
 from gnomon.fleet.library import Library
 

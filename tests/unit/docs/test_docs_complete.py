@@ -28,7 +28,7 @@ from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.own.noise_file import allan_text, noise_document
 from gnomon.formats.own.options_file import read_use
 from gnomon.options.requirements import GENERAL, GENERAL_IMU, GENERAL_RIG, QUANTITIES, USES, parse_sigma
-from gnomon.readers.images.image_file import IMAGE_SUFFIXES
+from gnomon.readers.images.image_files import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.samples.npz import __doc__ as npz_keys
 from gnomon.readers.samples.poses import pose_column

@@ -19,7 +19,7 @@ from bag_maker import make_bag, usual
 from gnomon.errors import GnomonError, RecordingError
 from gnomon.readers import files
 from gnomon.readers.bags.messages import TooLargeError, unpack_bytes
-from gnomon.readers.images.image_file import read_grey
+from gnomon.readers.images.image_files import read_grey
 from gnomon.readers.images.image_pixels import stated_pixels
 from gnomon.readers.images.image_recording import open_images
 from gpmf_files import box, entry

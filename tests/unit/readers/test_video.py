@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import RecordingError
-from gnomon.readers.images.image_file import is_video
+from gnomon.readers.images.image_files import is_video
 from gnomon.readers.images.image_recording import holds_images, open_images
 from image_folders import START, frames_of, picture, stamps, write_samples, write_video
 

@@ -30,8 +30,7 @@ from ...models.target import Target
 from ...output import atomic_file, remove_parts
 from ...progress import Progress
 from ...readers.files import ZIP_DAMAGE, file_source
-from ...readers.images.camera_places import camera_places, image_names
-from ...readers.images.image_file import read_grey
+from ...readers.images.image_files import camera_places, image_names, read_grey
 from ...readers.images.image_recording import open_images
 from ...readers.recordings import ReadLog
 from ...readers.rig.corner_frames import folder_corners

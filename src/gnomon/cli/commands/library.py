@@ -197,7 +197,7 @@ class LibraryCommand(Command):
     def _import(self, library: "Library", terminal: Terminal) -> dict[str, Any]:
         from ...fleet.entries import LibraryEntry
         from ...formats.own.calibration_file import load
-        from ..devices import serial_and_date
+        from .batch import serial_and_date
 
         added, broken = 0, dict[str, str]()
         paths = [path for folder in map(Path, self.words) for path in sorted(folder.rglob("calibration.yaml"))]

@@ -26,9 +26,17 @@ from ..recordings import ReadLog
 from ..rig.streams import EXPECTED as EXPECTED_IMU
 from ..rig.streams import folder_holds_imu as corners_with_imu
 from ..rig.streams import holds_corners, imu_tables, imu_tables_beside, read_imu
-from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
 from .frame_stamps import numbers_in_names
-from .image_file import is_image_name, is_video
+from .image_files import (
+    EXPECTED,
+    CameraPlace,
+    camera_places,
+    has_cameras,
+    image_names,
+    is_image_name,
+    is_video,
+    video_place,
+)
 
 _PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"Rar!")
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
@@ -240,7 +248,7 @@ def _tables_of(video: Path, place: CameraPlace) -> dict[str, tuple[Path, ...]]:
 
 def _stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     if place.video is None:
-        from .camera_places import folder_stream
+        from .image_files import folder_stream
 
         return folder_stream(name, place, log)
     from .video import video_stream  # PyAV takes its time

@@ -19,8 +19,8 @@ from ...recording import Integers
 from ...recording.frames import Frame, Grey, ImageStream
 from ..files import file_source, is_mp4_head
 from ..recordings import ReadLog
-from .camera_places import CameraPlace
 from .frame_stamps import FrameTable, read_frame_table
+from .image_files import CameraPlace
 
 _MOST_PIXELS = 1 << 26  # twice those of 8K
 _HEAD = 4096
