@@ -30,7 +30,7 @@ from .files import (
     several_recordings,
 )
 from .samples.poses import LARGEST_BYTES, join_pose_tables, read_pose_table
-from .samples.recognise import HELP, WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
+from .samples.recognise import HELP, WITH_RESTS, Recogniser, Unit, accelerometer_is_first, magnetometer_unit
 from .samples.table import SampleTable, Triad, read_table
 
 
@@ -324,35 +324,32 @@ def in_two_files(tables: list[SampleTable], files: list[Path], notes: list[str])
 
 def samples_in_units(streams: Streams, stated: Units, recogniser: Recogniser, notes: list[str]) -> ImuSamples:
     """Make samples with units: stated, else named in the file, else recognised."""
-    accel, gyro, mag = streams
-    accelerometer, gyroscope, magnetometer = _nothing("m/s^2"), _nothing("rad/s"), None
-    known = defaultdict[str, list[str]](list)
-    if accel is not None:
-        unit, reason = _known(stated.accelerometer, accel[1].unit)
+    known, made = defaultdict[str, list[str]](list), dict[str, TriadSamples]()
+
+    def recognised(name: str, t_ns: Integers, values: Floats) -> Unit:
+        if name == "gyroscope":
+            return recogniser.gyroscope(values, t_ns, _force_at(t_ns, made.get("accelerometer")))
+        return (recogniser.accelerometer if name == "accelerometer" else magnetometer_unit)(values)
+
+    for name, stream in zip(("accelerometer", "gyroscope", "magnetometer"), streams, strict=True):
+        if stream is None:
+            continue
+        t_ns, triad = stream
+        unit, reason = _known(getattr(stated, name), triad.unit)
         if unit is None:
-            found = recogniser.accelerometer(accel[1].values)
+            found = recognised(name, t_ns, triad.values)
             unit, reason = found.unit, found.reason
-        known[reason].append(f"accelerometer in {unit}")
-        accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
-    if gyro is not None:
-        unit, reason = _known(stated.gyroscope, gyro[1].unit)
-        if unit is None:
-            found = recogniser.gyroscope(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
-            unit, reason = found.unit, found.reason
-        known[reason].append(f"gyroscope in {unit}")
-        gyroscope = TriadSamples(t_ns=gyro[0], values=gyro[1].values, unit=unit)
-    if mag is not None:
-        unit, reason = _known(stated.magnetometer, mag[1].unit)
-        if unit is None:
-            found = magnetometer_unit(mag[1].values)
-            unit, reason = found.unit, found.reason
-        known[reason].append(f"magnetometer in {unit}")
-        magnetometer = TriadSamples(t_ns=mag[0], values=mag[1].values, unit=unit)
+        known[reason].append(f"{name} in {unit}")
+        made[name] = TriadSamples(t_ns=t_ns, values=triad.values, unit=unit)
     notes += [f"{', '.join(triads)} ({reason})." for reason, triads in known.items()]
-    missing = [name for name, there in (("accelerometer", accel), ("gyroscope", gyro)) if there is None]
+    missing = [name for name in ("accelerometer", "gyroscope") if name not in made]
     if missing:
         notes.append(f"no {' and no '.join(missing)} in this recording.")
-    return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+    return ImuSamples(
+        accelerometer=made.get("accelerometer", _nothing("m/s^2")),
+        gyroscope=made.get("gyroscope", _nothing("rad/s")),
+        magnetometer=made.get("magnetometer"),
+    )
 
 
 def _nothing(unit: str) -> TriadSamples:
@@ -363,9 +360,9 @@ def _known(stated: str | None, named: str | None) -> tuple[str | None, str]:
     return (stated, "as stated") if stated is not None else (named, "as the file says")
 
 
-def _force_at(t_ns: Integers, accelerometer: TriadSamples) -> Floats | None:
+def _force_at(t_ns: Integers, accelerometer: TriadSamples | None) -> Floats | None:
     """Return the accelerometer at the gyroscope's timestamps where it is cheap and its zero is known; else None."""
-    if accelerometer.unit == "count" or not len(accelerometer):
+    if accelerometer is None or accelerometer.unit == "count":
         return None
     if np.array_equal(t_ns, accelerometer.t_ns):
         return accelerometer.values

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import gnomon
 from gnomon.assess.checks.rig_streams import check_cameras
 from gnomon.errors import FormatError, GnomonError, OptionError, RecordingError
-from gnomon.readers.samples.recognise import gyroscope_unit_in_motion
+from gnomon.readers.samples.recognise import gyroscope_unit
 
 CAM = {
     "camera_model": "pinhole",
@@ -520,7 +520,7 @@ def test_units_are_converted_and_said(folder) -> None:
 def test_unit_of_a_gyroscope_that_never_rests(amplitude, unit, per_rad_s) -> None:
     t = np.arange(4000) / 200
     rate = amplitude * np.stack([np.sin(60 * t), np.cos(47 * t), np.sin(31 * t + 1)], axis=1)  # no smooth rest between
-    found = gyroscope_unit_in_motion(rate * per_rad_s, np.rint(t * 1e9).astype(np.int64), None)
+    found = gyroscope_unit(rate * per_rad_s, np.rint(t * 1e9).astype(np.int64), None, in_motion=True)
     assert found.unit == unit
 
 

@@ -14,8 +14,8 @@ from ...frozen import value_class
 from ...recording import Floats, Integers, Source
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
-from ..samples.table import guess_time_unit, stamp_kind, stray_timestamp, to_ns
-from ..samples.text_table import Column, TextLayout, is_number, line_number, parse_columns, sniff_layout
+from ..samples.table import guess_time_unit, parse_stamped, stray_timestamp, to_ns
+from ..samples.text_table import Column, TextLayout, is_number, line_number, sniff_layout
 
 _HEADERS = '"ts_ns,tag_id,corner_idx,u_px,v_px" or "ts_ns,corner_id,u_px,v_px"'
 _ROWS = "time, number of the tag, number of its corner, u, v (or time, number of the corner, u, v)"
@@ -98,7 +98,9 @@ def read_corner_table(path: Path, time_unit: str | None = None) -> CornerTable:
         ) from error
     columns = corner_columns(layout, file.name)
     numbers = [i for i in (columns.tag, columns.corner) if i is not None]
-    data, cut = _parse(file, layout, [i for i, _ in columns.time], numbers, [columns.u, columns.v])
+    data, cut = parse_stamped(
+        file, layout, [i for i, _ in columns.time], [columns.u, columns.v], numbers, may_be_lost=True
+    )
     t_ns, note = _stamps(data, columns.time, time_unit, file.name)
     _refuse_strayed(t_ns, file, layout)
     whole = {i: _whole(data[i], file, layout) for i in numbers}
@@ -133,7 +135,7 @@ def read_frame_stamps(path: Path, time_unit: str | None = None) -> tuple[Integer
         raise RecordingError(
             f"{file.name}: no column holds the time ({', '.join(layout.header)[:120]}). Name it ts_ns, in nanoseconds."
         )
-    data, _ = _parse(file, layout, [i for i, _ in time], [], [])
+    data, _ = parse_stamped(file, layout, [i for i, _ in time], [], may_be_lost=True)
     t_ns, note = _stamps(data, time, time_unit, file.name)
     _refuse_strayed(t_ns, file, layout)
     return t_ns, file.source, note
@@ -208,24 +210,6 @@ def _by_content(layout: TextLayout, where: str) -> CornerColumns:
     raise RecordingError(
         f"{where}: no header, and {layout} do not tell which are time, corner, u and v. Add a first line, {_HEADERS}."
     )
-
-
-def _parse(
-    file: TextFile, layout: TextLayout, stamps: list[int], numbers: list[int], coordinates: list[int]
-) -> tuple[list[Column], str | None]:
-    kinds = [""] * layout.columns
-    for i in stamps:
-        kinds[i] = stamp_kind([row[i] for row in layout.sample])
-    for i in numbers:
-        kinds[i] = "i8"
-    for i in coordinates:
-        kinds[i] = "f8"
-    try:
-        return parse_columns(file, layout, kinds, may_be_lost=True)
-    except RecordingError:
-        # What begins as whole numbers need not stay so.
-        wider = [("S40" if i in stamps else "f8") if kind == "i8" else kind for i, kind in enumerate(kinds)]
-        return parse_columns(file, layout, wider, may_be_lost=True)
 
 
 def _stamps(

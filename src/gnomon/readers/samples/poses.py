@@ -29,6 +29,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS
 from ..files import TextFile
 from .column_names import column_name, unit_of
 from .printed_lines import lines_as_table
+from .recognise import gravity_unit
 from .table import RATE_HELP, SampleTable, Triad, preamble_rate
 from .text_table import Column, TextLayout, is_printed, numbered_rows, parse_columns, sniff_layout
 
@@ -216,9 +217,9 @@ def _accelerometer_unit(values: Floats, stated: str | None, named: str | None) -
     if stated is not None or named is not None:
         return (stated, "as stated") if stated is not None else (str(named), "as the file says")
     magnitude = float(np.median(np.linalg.norm(values, axis=1)))
-    for unit, factor in ACCELEROMETER_UNITS_M_S2.items():
-        if factor is not None and 0.8 < magnitude * factor / STANDARD_GRAVITY_M_S2 < 1.2:
-            return unit, f"its median magnitude is {magnitude:.4g}"
+    unit = gravity_unit(magnitude)
+    if unit is not None:
+        return unit, f"its median magnitude is {magnitude:.4g}"
     return "count", f"its median magnitude, {magnitude:.4g}, is gravity in no known unit"
 
 

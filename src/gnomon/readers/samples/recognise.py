@@ -4,6 +4,7 @@ What samples are, told from their values: which triad is which, and in which uni
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -166,22 +167,26 @@ def _whole_numbers(values: Floats) -> bool:
     return bool((part == np.rint(part)).all())
 
 
-def accelerometer_unit(values: Floats) -> Unit:
-    """Recognise the unit of an accelerometer from its reading of gravity, (n, 3)."""
+def accelerometer_unit(values: Floats, *, in_motion: bool = False) -> Unit:
+    """Recognise the unit of an accelerometer from its reading of gravity, (n, 3), at rest or moving."""
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
-    magnitude = rest_magnitude(values)
-    unit = gravity_unit(magnitude)
+    what, limits = "magnitude at rest", _LIKE_GRAVITY
+    if in_motion:
+        what, limits = "median magnitude", _LIKE_GRAVITY_IN_MOTION
+    magnitude = float(np.median(np.linalg.norm(values, axis=1))) if in_motion else rest_magnitude(values)
+    unit = gravity_unit(magnitude, limits)
     if unit is not None:
-        return Unit(unit=unit, reason=f"its magnitude at rest is {magnitude:.4g}")
-    return Unit(unit="count", reason=f"its magnitude at rest, {magnitude:.4g}, is gravity in no known unit")
+        return Unit(unit=unit, reason=f"its {what} is {magnitude:.4g}")
+    return Unit(unit="count", reason=f"its {what}, {magnitude:.4g}, is gravity in no known unit")
 
 
-def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None) -> Unit:
+def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None, *, in_motion: bool = False) -> Unit:
     """Recognise the unit of a gyroscope.
 
     Physics decides where it can: seen from the body, gravity turns with du/dt = -omega x u, whose slope tells the unit.
-    Otherwise the noise at rest and the largest rate are held against those of usual sensors.
+    Otherwise the noise at rest and the largest rate are held against those of usual sensors, or in motion the rate
+    against how fast a hand moves.
 
     Parameters
     ----------
@@ -189,13 +194,18 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
     t_ns : (n,) [ns]
     accelerometer : (n, 3) at the same timestamps, in a unit that has its zero at zero; None where there is no such
         thing
+    in_motion : whether the sensor never rests
     """
-    if _whole_numbers(values):
+    if _whole_numbers(values) and (np.ptp(values) > 0 or not in_motion):
         return Unit(unit="count", reason="whole numbers")
     slope = None if accelerometer is None else turning_of_gravity(accelerometer, values, t_ns)
     if slope is not None:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
         return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
+    if in_motion:
+        rms = float(np.sqrt(values.var(axis=0).sum()))
+        unit = next(unit for unit, largest in _RATES_IN_MOTION if rms <= largest)
+        return Unit(unit=unit, reason=f"its root mean square is {rms:.3g}")
     _, spread = _windows(values)
     noise = max(float(np.quantile(spread, 0.1)) / np.sqrt(3), 1e-6)
     centred = np.abs(values - np.median(values[:: max(1, len(values) // 10_000)], axis=0))
@@ -206,35 +216,6 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
         evidence += 2 * np.log(peak / 30.0)
     unit = "deg/s" if evidence > 0 else "rad/s"
     return Unit(unit=unit, reason=f"noise at rest {noise:.2g}, largest value {peak:.3g}")
-
-
-def accelerometer_unit_in_motion(values: Floats) -> Unit:
-    """Recognise the unit of an accelerometer, (n, 3), that never rests, from its median magnitude."""
-    if _whole_numbers(values):
-        return Unit(unit="count", reason="whole numbers")
-    magnitude = float(np.median(np.linalg.norm(values, axis=1)))
-    unit = gravity_unit(magnitude, _LIKE_GRAVITY_IN_MOTION)
-    if unit is not None:
-        return Unit(unit=unit, reason=f"its median magnitude is {magnitude:.4g}")
-    return Unit(unit="count", reason=f"its median magnitude, {magnitude:.4g}, is gravity in no known unit")
-
-
-def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floats | None) -> Unit:
-    """Recognise the unit of a gyroscope that never rests: by the turns of gravity, else by how fast a hand moves.
-
-    Parameters
-    ----------
-    values, t_ns, accelerometer : as for `gyroscope_unit`
-    """
-    if _whole_numbers(values) and np.ptp(values) > 0:
-        return Unit(unit="count", reason="whole numbers")
-    slope = None if accelerometer is None else turning_of_gravity(accelerometer, values, t_ns)
-    if slope is not None:
-        unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
-        return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
-    rms = float(np.sqrt(values.var(axis=0).sum()))
-    unit = next(unit for unit, largest in _RATES_IN_MOTION if rms <= largest)
-    return Unit(unit=unit, reason=f"its root mean square is {rms:.3g}")
 
 
 def magnetometer_unit(values: Floats) -> Unit:
@@ -285,7 +266,9 @@ class Recogniser:
 
 
 WITH_RESTS = Recogniser(accelerometer=accelerometer_unit, gyroscope=gyroscope_unit)
-IN_MOTION = Recogniser(accelerometer=accelerometer_unit_in_motion, gyroscope=gyroscope_unit_in_motion)
+IN_MOTION = Recogniser(
+    accelerometer=partial(accelerometer_unit, in_motion=True), gyroscope=partial(gyroscope_unit, in_motion=True)
+)
 
 
 def turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers) -> float | None:

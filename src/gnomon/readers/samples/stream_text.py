@@ -27,13 +27,13 @@ from .table import (
     Unwrapper,
     guess_time_unit,
     named_unit,
+    parse_stamped,
     preamble_rate,
     read_table,
-    stamp_kind,
     to_ns,
     uniform_stamps,
 )
-from .text_table import HEAD_BYTES, Column, TextLayout, is_number, parse_columns, sniff_layout, split_line
+from .text_table import HEAD_BYTES, Column, TextLayout, is_number, sniff_layout, split_line
 
 _RECOGNISED_BYTES = 8 << 20
 _LONGEST_LINE = 1 << 20
@@ -143,7 +143,7 @@ def _plan(
         column, named = used.time[0]
         unit = time_unit or named
         if unit in {None, "100us"}:
-            stamps = Unwrapper()(_parsed(head, layout, [column], [])[column])
+            stamps = Unwrapper()(parse_stamped(head, layout, [column], [])[0][column])
             unit = named_unit(unit, stamps) or guess_time_unit(stamps)[0]
     return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
 
@@ -165,25 +165,12 @@ def _triads(
     stamps = [i for i, _ in plan.used.time]
     places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
     values = [i for columns in places for i in columns]
-    data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
+    data, _ = parse_stamped(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
     t_ns = _stamps(plan, data, count, unwrapper)
     return [
         TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
         for which, columns in zip(held, places, strict=True)
     ]
-
-
-def _parsed(file: TextFile, layout: TextLayout, stamps: list[int], values: list[int]) -> list[Column]:
-    kinds = ["f8" if i in values else "" for i in range(layout.columns)]
-    for i in stamps:
-        kinds[i] = stamp_kind([row[i] for row in layout.sample])
-    try:
-        return parse_columns(file, layout, kinds)[0]
-    except RecordingError:
-        if not any(kinds[i] == "i8" for i in stamps):
-            raise
-        # Timestamps that begin as whole numbers need not stay so.
-        return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
 
 
 class ArrivingTable:

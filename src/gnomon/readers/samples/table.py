@@ -1,6 +1,7 @@
 """Format "table": text with one row a sample. EuRoC, TUM-VI, Kalibr and imu_tk files are such tables, too."""
 
 import re
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -302,23 +303,40 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=notes, advice=advice, temperature=temperature)
 
 
-def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column], str | None]:
-    kinds = [""] * layout.columns
-    for triad in used.triads:
-        for i in triad.columns:
-            kinds[i] = "f8"
-    if used.temperature is not None:
-        kinds[used.temperature[0]] = "f8"
-    stamps = [i for i, _ in used.time]
+def parse_stamped(
+    file: TextFile,
+    layout: TextLayout,
+    stamps: Collection[int],
+    values: Collection[int],
+    whole: Collection[int] = (),
+    *,
+    may_be_lost: bool = False,
+) -> tuple[list[Column], str | None]:
+    """Return the columns of a table, of which the timestamps lose no digit, and a note on a line that was cut off.
+
+    Parameters
+    ----------
+    stamps, values, whole : numbers of the columns of timestamps, of samples, and of whole numbers
+    may_be_lost : as for `parse_columns`
+    """
+    kinds = ["i8" if i in whole else "f8" if i in values else "" for i in range(layout.columns)]
     for i in stamps:
         kinds[i] = stamp_kind([row[i] for row in layout.sample])
     try:
-        return parse_columns(file, layout, kinds)
+        return parse_columns(file, layout, kinds, may_be_lost=may_be_lost)
     except RecordingError:
-        if not any(kinds[i] == "i8" for i in stamps):
+        if "i8" not in kinds:
             raise
-        # Timestamps that begin as whole numbers need not stay so.
-        return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
+        # What begins as whole numbers need not stay so.
+        wider = [("S40" if i in stamps else "f8") if kind == "i8" else kind for i, kind in enumerate(kinds)]
+        return parse_columns(file, layout, wider, may_be_lost=may_be_lost)
+
+
+def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column], str | None]:
+    values = {i for triad in used.triads for i in triad.columns} | (
+        {used.temperature[0]} if used.temperature else set()
+    )
+    return parse_stamped(file, layout, [i for i, _ in used.time], values)
 
 
 def _left_columns(name: str, layout: TextLayout, used: Roles) -> str | None:
