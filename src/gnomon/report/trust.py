@@ -6,7 +6,7 @@ from math import isfinite
 import numpy as np
 
 from ..recording import Floats
-from ..recording.order_statistics import median_of
+from ..recording.samples import median_of
 from ..results.calibration import Assessment
 from ..results.camera_diagnostics import (
     CameraImuDiagnostics,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import OptionError
 from ..frozen import value_class
 from ..recording import Floats, Integers, frozen_array
-from ..recording.order_statistics import median_of
+from ..recording.samples import median_of
 from .calibration import Calibration, calibration_parameters, element_names
 from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
 from .sensor_diagnostics import ImuDiagnostics, TriadDiagnostics

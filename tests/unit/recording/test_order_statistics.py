@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.recording.order_statistics import distinct_values, median_of, quantile_of
+from gnomon.recording.samples import distinct_values, median_of, quantile_of
 
 SHAPES = [(1,), (2,), (9,), (10, 3), (4, 3, 5)]
 

@@ -12,7 +12,7 @@ from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, Recording, TriadSamples, close_gaps
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.result import StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from ..imu.temperature import check_temperature

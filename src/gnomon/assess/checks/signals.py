@@ -9,7 +9,7 @@ from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
 _GAP_PERIODS = 1.5

@@ -13,7 +13,7 @@ from ...estimate.multiposition.triad_changes import least_turn_seen
 from ...estimate.trust.changes import estimates_are_judged
 from ...findings import Finding, make_finding
 from ...recording import Floats
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.sensor_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, kept_with_array, smallest_steps
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.result import Booleans, StaticIntervals
 
 _RARE = 0.01

@@ -16,7 +16,7 @@ from ...estimate.trust.changes import estimates_are_judged
 from ...frozen import value_class
 from ...progress import tell_parts
 from ...recording import Floats, Integers, TriadSamples
-from ...recording.order_statistics import median_of, quantile_of
+from ...recording.samples import median_of, quantile_of
 from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2
 from .faults import RangeChange, find_range_change

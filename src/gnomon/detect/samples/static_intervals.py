@@ -16,7 +16,7 @@ from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_ch
 from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples, smallest_steps
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.result import Booleans, StaticIntervals
 from .rests import FEWEST_INTERVALS, ThresholdTrial
 

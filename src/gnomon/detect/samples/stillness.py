@@ -16,7 +16,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, TriadSamples
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.result import Booleans
 
 _CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums

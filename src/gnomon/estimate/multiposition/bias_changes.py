@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import InitialisationError
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from .measurements import fit_magnitude
 
 _MARGIN = 5.0  # of log-likelihood beyond the length of the description: one false alarm in some hundred recordings

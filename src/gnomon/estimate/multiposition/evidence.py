@@ -29,7 +29,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix, tangent_basis
 from ...recording import Floats, Integers
-from ...recording.order_statistics import distinct_values
+from ...recording.samples import distinct_values
 from ...results.result import Booleans
 from ...results.trust import BlockChange, ModelStep
 from ...solve.least_squares import ArrowSolution, reduced_normal_equations, solve_arrow

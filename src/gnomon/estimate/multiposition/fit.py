@@ -14,7 +14,7 @@ from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.result import Booleans
 from ...solve.least_squares import ArrowSolution, solve_arrow
 from ...units import STANDARD_GRAVITY_M_S2

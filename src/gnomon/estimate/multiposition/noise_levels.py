@@ -17,7 +17,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...recording import Floats
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.result import Booleans
 from ...solve.least_squares import ArrowSolution
 from .measurements import MotionSegments, integrate_rates

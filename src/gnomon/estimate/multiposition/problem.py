@@ -10,7 +10,7 @@ import numpy as np
 from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers, frozen_array
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.result import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
 from .measurements import MotionSegments, cut_segments, segments_between

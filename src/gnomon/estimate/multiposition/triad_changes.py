@@ -32,7 +32,7 @@ import numpy as np
 from ...frozen import value_class
 from ...geometry.rotation_vector import skew, tangent_basis
 from ...recording import Floats, Integers
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.result import Booleans
 from ...results.trust import ParameterChange
 from ...solve.least_squares import reduced_normal_equations

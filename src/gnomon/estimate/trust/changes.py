@@ -33,7 +33,7 @@ import numpy as np
 from ...findings import Finding
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.order_statistics import distinct_values, median_of, quantile_of
+from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.calibration import Calibration
 from ...results.result import Booleans
 from ...results.trust import ParameterChange

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.order_statistics import distinct_values, quantile_of
+from ...recording.samples import distinct_values, quantile_of
 
 _NEARLY = 1e-12  # of the information, where there is none at all
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.result import Booleans
 from ...results.trust import BlockAgreement, Clusters, ParameterChange, SigmaRatio, Splits, Trust
 from .changes import estimates_are_judged, parameter_changes

@@ -13,7 +13,7 @@ from ...findings import list_first
 from ...frozen import value_class
 from ...options import option_range
 from ...recording import Floats, Integers, TemperatureSamples, usual_step
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...units import TIME_UNITS_NS, Units
 from ..files import TextFile
 from .column_names import Roles, column_name, column_roles, time_columns, unit_of

@@ -9,7 +9,7 @@ from math import asin, degrees, isfinite
 
 import numpy as np
 
-from ...recording.order_statistics import median_of
+from ...recording.samples import median_of
 from ...results.calibration import Calibration, ImuCalibration
 from ...results.result import JoinedDiagnostics
 from ...results.sensor_diagnostics import (
