@@ -121,7 +121,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     tell("testing it on views that it has not seen")
     independent = IndependentViews.of(solution)
     left_out, uncompared = _tested(board, independent)
-    others = unused_residuals(start.every, solution)
+    others = unused_residuals(start, solution)
     bad = misfit_frames(solution, others)
     mixed = other_size(start.every, solution, bad)
     if mixed is not None:

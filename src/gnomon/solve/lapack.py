@@ -53,3 +53,17 @@ def solve_banded(lower: Floats, right: Floats) -> Floats:
     if failed:
         raise np.linalg.LinAlgError(f"row {failed} of the banded equations is not positive definite")
     return np.asarray(found, dtype=np.float64).reshape(right.shape)
+
+
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
+    """Solve symmetric equations (n, n) for right-hand sides (n, q).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    _, found, failed = _lapack.dposv(matrix.T, right, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"row {failed} of the equations is not positive definite")
+    return np.asarray(found, dtype=np.float64)

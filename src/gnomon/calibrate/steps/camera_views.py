@@ -38,13 +38,13 @@ class Start:
     Attributes
     ----------
     every : all views that show enough of the board, their corners numbered alike
-    rig : of the views that are used
+    posed : a rig with the poses of all of them
     used : (u,) which of the views are used, ascending
     nats : (u,) what each told of the lenses when it was chosen
     """
 
     every: RigViews
-    rig: CameraRig
+    posed: CameraRig
     used: Integers
     nats: Floats
 
@@ -52,6 +52,11 @@ class Start:
     def views(self) -> RigViews:
         """The views that are used."""
         return self.every.where(self.used)
+
+    @property
+    def rig(self) -> CameraRig:
+        """The rig of the views that are used."""
+        return _of(self.posed, self.used)
 
 
 def select_views(views: RigViews, name: str) -> RigViews:
@@ -81,7 +86,7 @@ def first_rig_of_views(views: RigViews, lenses: Mapping[str, Camera], most: int 
     views = number_views_alike(views, lenses, _numberings(views.target))
     rig = first_rig(views, {}, lenses)
     chosen = chosen_views(views, rig, most)
-    return Start(every=views, rig=_of(rig, chosen.index), used=chosen.index, nats=chosen.nats)
+    return Start(every=views, posed=rig, used=chosen.index, nats=chosen.nats)
 
 
 def _numberings(target: Target) -> Integers:
@@ -108,19 +113,19 @@ def kept_views(solution: RigSolution) -> RigViews:
     return replace(views, frame=frame)
 
 
-def unused_residuals(every: RigViews, solution: RigSolution) -> dict[str, SeenCorners]:
+def unused_residuals(start: Start, solution: RigSolution) -> dict[str, SeenCorners]:
     """Return the residuals of what a solution did not use, each view with the pose that suits it best.
 
     Parameters
     ----------
-    every : all views
+    start : all views, and their poses in the first rig
     solution : of some of them
     """
-    frame = every.frame.copy()
+    every, frame = start.every, start.every.frame.copy()
     for number, seen in enumerate(solution.corners.values()):
         frame[np.isin(frame[:, number], seen.frame), number] = -1
     rest = np.flatnonzero((frame >= 0).any(axis=1))
-    return held_out_residuals(replace(every, frame=frame).where(rest), solution.rig)
+    return held_out_residuals(replace(every, frame=frame).where(rest), solution.rig, _of(start.posed, rest))
 
 
 def misfit_frames(solution: RigSolution, others: Mapping[str, SeenCorners]) -> dict[str, Integers]:

@@ -222,15 +222,19 @@ def _isometry(points: Floats, numbering: Integers) -> Floats:
     return found
 
 
-def held_out_residuals(views: RigViews, rig: CameraRig) -> dict[str, SeenCorners]:
+def held_out_residuals(views: RigViews, rig: CameraRig, near: CameraRig | None = None) -> dict[str, SeenCorners]:
     """Return the residuals of views that get a pose of their own and nothing else.
 
     Parameters
     ----------
     views : of the same cameras and board
     rig : lenses, places of the cameras and shape of the board; the poses of its views are not looked at
+    near : a rig that has about the poses of these views; they are found anew where there is none
     """
-    return at_poses(views, posed_rig(views, rig.cameras, rig.T_cam_cam0, rig, steps=_ROUGHLY))
+    if near is None:
+        return at_poses(views, posed_rig(views, rig.cameras, rig.T_cam_cam0, rig, steps=_ROUGHLY))
+    begun = replace(rig, R_cam0_target=near.R_cam0_target, p_cam0_target=near.p_cam0_target)
+    return at_poses(views, settle_poses(camera_corners(views), views.target, begun, steps=_ROUGHLY)[0])
 
 
 def at_poses(views: RigViews, rig: CameraRig) -> dict[str, SeenCorners]:

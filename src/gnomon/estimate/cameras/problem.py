@@ -276,6 +276,8 @@ def _greedy(sums: ClusterSums, most: int | None) -> ChosenViews:
     nats: list[float] = []
     while len(taken) < min(most if most is not None else count, count):
         best, gain = _best(parts, known, bound)
+        if best < 0:
+            raise np.linalg.LinAlgError("no view tells a finite number")
         if most is None and len(taken) >= _FEWEST and gain < _NEGLIGIBLE * size:
             break
         taken.append(best)

@@ -107,7 +107,7 @@ def _minimum(problem: Problem, rig: CameraRig, noise: Mapping[str, CornerNoise],
 def _descended(state: _State, most: int, at_rest: float) -> _State:
     """Return where Levenberg-Marquardt comes to rest, with the weights' sigmas held."""
     problem, rig, at = state.problem, state.rig, state.at
-    steps, damping, growth = list(state.steps), 0.0, 2.0
+    steps, damping, growth, before = list(state.steps), 0.0, 2.0, 0.0
     cost = problem.cost(at, rig)
     for _ in range(most):
         equations = eliminate_poses(at)
@@ -123,9 +123,10 @@ def _descended(state: _State, most: int, at_rest: float) -> _State:
             trial = _brought_back(state, trial, information @ step, held)
         accepted = trial.cost <= cost * (1 + 1e-12)
         steps.append(SolverStep(cost=cost, largest_step=size, damping=damping, accepted=accepted))
-        rest = size < at_rest and abs(trial.cost - cost) <= max(at_rest, 1e-9 * cost)
+        left = size * min(1.0, size / before if before else 1.0)  # as the last two steps foretell
+        rest = left < at_rest and abs(trial.cost - cost) <= max(at_rest, 1e-9 * cost)
         if accepted:
-            rig, at, cost = trial.rig, trial.at, trial.cost
+            rig, at, cost, before = trial.rig, trial.at, trial.cost, size
             damping, growth = 0.0 if damping < 1e-8 else damping / 3, 2.0
         else:
             damping, growth = max(growth * damping, 1e-8), 2 * growth

@@ -306,17 +306,17 @@ class _Scan:
 
     def _sorted_from(self, block: _Block, second: Booleans) -> tuple[Booleans, float]:
         """Return the stretches that are of the second kind, and by how much two kinds lower the cost."""
-        sums, count, gained = self.sums, block.directions.shape[1], 0.0
+        sums, count, gained, weighed = self.sums, block.directions.shape[1], 0.0, dict[bytes, Floats]()
         for _ in range(_SORTINGS):
             cut = _Cut(share=second.astype(np.float64), words="")
             design, on = _design(sums, (*self.given, _Term(cut=cut, directions=block.directions)))
-            normal, right = _normal_equations(sums, design, on, _size(sums))
+            normal, right = _normal_equations(sums, design, on, _size(sums), weighed)
             step = np.linalg.solve(normal, right)
             gained = float(step @ right)
             common = (on * step)[:, :-count] @ design[:, :-count].T
-            left = sums.pull - np.einsum("npq,nq->np", sums.information, common)
+            left = sums.pull - (sums.information @ common[:, :, None])[:, :, 0]
             change = block.directions @ step[-count:]
-            sorted_anew = left @ change > 0.5 * np.einsum("npq,p,q->n", sums.information, change, change)
+            sorted_anew = left @ change > 0.5 * (sums.information @ change) @ change
             if (sorted_anew == second).all():
                 break
             second = sorted_anew
@@ -498,7 +498,7 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
     step = np.concatenate([without - by_rest @ root @ w, root @ w])
     arm = (gain * on[:, None]) @ design.T  # of w by each pull, (n, r, p)
     weighed = arm @ sums.information
-    left = sums.pull - np.einsum("npq,nq->np", sums.information, (on * step) @ design.T)
+    left = sums.pull - (sums.information @ ((on * step) @ design.T)[:, :, None])[:, :, 0]
     return _Estimate(
         change=root @ w,
         root=root,
@@ -526,14 +526,19 @@ def _design(sums: ClusterSums, terms: Sequence[_Term]) -> tuple[Floats, Floats]:
     return design, np.concatenate([np.ones((n, p)), *switched], axis=1)
 
 
-def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Floats) -> tuple[Floats, Floats]:
-    """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes."""
+def _normal_equations(
+    sums: ClusterSums, design: Floats, on: Floats, size: Floats, weighed: dict[bytes, Floats] | None = None
+) -> tuple[Floats, Floats]:
+    """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes.
+
+    The information of stretches that weigh alike is summed up once for all equations that share `weighed`.
+    """
     p, k = design.shape
     right = np.sum(on * (sums.pull @ design), axis=0)
     normal = np.zeros((k, k))
     starts = [0, *(np.flatnonzero(np.any(on[:, 1:] != on[:, :-1], axis=0)) + 1), k]  # columns that act alike
     alike = [slice(low, high) for low, high in pairwise(starts)]
-    weighed = dict[bytes, Floats]()  # columns that switch weigh as much by their squares
+    weighed = {} if weighed is None else weighed  # columns that switch weigh as much by their squares
     for i, one in enumerate(alike):
         for other in alike[: i + 1]:
             weight = on[:, one.start] * on[:, other.start]

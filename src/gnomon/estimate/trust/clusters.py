@@ -22,6 +22,7 @@ their sum would exceed what is needed by chance alone, and the more blocks are t
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import field, replace
 from functools import lru_cache
 from random import Random
@@ -34,6 +35,7 @@ from ...recording import Floats, Integers
 from ...recording.samples import distinct_values, quantile_of
 
 _NEARLY = 1e-12  # of the information, where there is none at all
+_MANY = 100  # parameters, from which on a factor of Cholesky saves more than calls cost
 
 _BLOCK_COUNTS = 12.0  # degrees of freedom that the other parameters of a block count as
 _ONE_COUNTS = 4.0  # and that independence counts as
@@ -145,7 +147,8 @@ def held_out_costs(sums: ClusterSums) -> Floats:
     """
     rest_pull = sums.pull.sum(axis=0) + sums.prior_pull - sums.pull
     steps = _solved(sums.total - sums.information, rest_pull)
-    return np.einsum("cp,cpq,cq->c", steps, sums.information, steps) / 2 - np.einsum("cp,cp->c", sums.pull, steps)
+    along = (sums.information @ steps[:, :, None])[:, :, 0]
+    return np.einsum("cp,cp->c", along / 2 - sums.pull, steps)
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:
@@ -156,6 +159,13 @@ def _solved(matrix: Floats, right: Floats) -> Floats:
 
 def _solved_if_scaled(matrix: Floats, right: Floats) -> Floats:
     """Solve equations of unit diagonal; what nothing tells may be anywhere."""
+    if matrix.shape[-1] >= _MANY:
+        from ...solve.lapack import solve_positive
+
+        with suppress(np.linalg.LinAlgError):  # not positive definite, but for rounding
+            sides = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1])).reshape(-1, *right.shape[-2:])
+            found = [solve_positive(*one) for one in zip(matrix.reshape(-1, *matrix.shape[-2:]), sides, strict=True)]
+            return np.array(found).reshape(*matrix.shape[:-1], -1)
     try:
         solution = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:
@@ -258,12 +268,14 @@ def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Flo
     seen = arms @ information
     # At the estimate a cluster pulls as its errors do, less its share of what all errors pull together.
     own = np.einsum("cmp,cmp->mc", seen, arms)
-    # The covariance of the pulls, diag(own) - shared T shared', is never made: it is as large as the clusters squared.
+    # The covariance of the pulls is diag(own) - shared T shared'.
     shared, inverse = np.swapaxes(seen, 0, 1), _solved_if_scaled(total, np.eye(len(total)))  # (m, c, p)
     weighed = shared @ inverse
     less = np.einsum("mcp,mcp->mc", weighed, shared)
-    inner = np.swapaxes(shared, 1, 2) @ weighed  # (m, p, p)
-    apart = np.einsum("mpq,mqp->m", inner, inner) - np.sum(less**2, axis=1)  # squares off the diagonal
+    # Of the shape that is smaller, (m, c, c) or (m, p, p): the trace of the square is the same.
+    few = len(sums) < len(total)
+    inner = weighed @ np.swapaxes(shared, 1, 2) if few else np.swapaxes(shared, 1, 2) @ weighed
+    apart = np.sum(inner * np.swapaxes(inner, 1, 2), axis=(1, 2)) - np.sum(less**2, axis=1)  # squares off the diagonal
     expected = np.sum(own - less, axis=1)
     spread = np.sum((own - less) ** 2, axis=1) + np.maximum(apart, 0.0)
     return moves.T @ moves, expected, expected**2 / np.where(spread > 0, spread, 1.0)
