@@ -223,7 +223,7 @@ def trust(found: list[Recorded]) -> Table:
 ALONE = """
 import sys, time
 import gnomon
-from gnomon.calibrate import calibrate_camera_imu
+from gnomon.calibrate.camera_imu import calibrate_camera_imu
 folder, cam, imu, target, model, output = sys.argv[1:]
 start = time.process_time()
 recording, board = gnomon.read_camera_imu(folder, cam=cam, imu=imu, target=target)

@@ -156,7 +156,7 @@ def mark(step):
 recording, folder, output = map(Path, sys.argv[1:])
 mark("starting")
 import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
-from gnomon.calibrate import calibrate_camera_imu
+from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
 from gnomon.detect.boards.worker import make_detector
 from gnomon.readers.images.image_recording import open_images

@@ -25,23 +25,19 @@ if TYPE_CHECKING:
     from .assess.checks.doctor import check
     from .assess.comparison.comparison import Comparison
     from .assess.comparison.verification import Verification
-    from .calibrate import (
-        calibrate_camera_imu,
-        calibrate_cameras,
-        calibrate_imu,
-        calibrate_magnetometer,
-        calibrate_temperature,
-        calibrate_turntable,
-        identify_noise,
-        judge,
-        plan,
-        rate_from_video,
-        read_camera_imu,
-        read_camera_views,
-        read_hardware,
-    )
+    from .calibrate.camera_imu import calibrate_camera_imu
+    from .calibrate.cameras import calibrate_cameras
     from .calibrate.comparison import compare
-    from .calibrate.planning import PlanResult
+    from .calibrate.imu import calibrate_imu
+    from .calibrate.judging import judge
+    from .calibrate.magnetometer import calibrate_magnetometer
+    from .calibrate.noise import identify_noise
+    from .calibrate.planning import PlanResult, plan, read_hardware
+    from .calibrate.platter_rate import rate_from_video
+    from .calibrate.steps.camera_imu_reading import read_camera_imu
+    from .calibrate.steps.camera_reading import read_camera_views
+    from .calibrate.temperature import calibrate_temperature
+    from .calibrate.turntable import calibrate_turntable
     from .calibrate.verification import verify
     from .detect.platter.rate import PlatterRate
     from .findings import Finding
@@ -107,13 +103,19 @@ _HOMES = {
         "assess.checks.doctor": "check",
         "assess.comparison.comparison": "Comparison",
         "assess.comparison.verification": "Verification",
-        "calibrate": (
-            "calibrate_camera_imu calibrate_cameras calibrate_imu calibrate_magnetometer calibrate_temperature "
-            "calibrate_turntable identify_noise judge plan rate_from_video read_camera_imu read_camera_views "
-            "read_hardware"
-        ),
+        "calibrate.camera_imu": "calibrate_camera_imu",
+        "calibrate.cameras": "calibrate_cameras",
         "calibrate.comparison": "compare",
-        "calibrate.planning": "PlanResult",
+        "calibrate.imu": "calibrate_imu",
+        "calibrate.judging": "judge",
+        "calibrate.magnetometer": "calibrate_magnetometer",
+        "calibrate.noise": "identify_noise",
+        "calibrate.planning": "PlanResult plan read_hardware",
+        "calibrate.platter_rate": "rate_from_video",
+        "calibrate.steps.camera_imu_reading": "read_camera_imu",
+        "calibrate.steps.camera_reading": "read_camera_views",
+        "calibrate.temperature": "calibrate_temperature",
+        "calibrate.turntable": "calibrate_turntable",
         "calibrate.verification": "verify",
         "detect.platter.rate": "PlatterRate",
         "findings": "Finding",

@@ -121,7 +121,8 @@ class Trials:
 def try_calibration(recording: Recording, target: Target, use: Use | None = None) -> TrialOutcome:
     """Calibrate, and return what came of it; what fails is an outcome, too."""
     from ..assess.needs import judge_for_use, needs_of_use
-    from ..calibrate import calibrate_camera_imu, calibrate_cameras
+    from ..calibrate.camera_imu import calibrate_camera_imu
+    from ..calibrate.cameras import calibrate_cameras
     from ..errors import GnomonError
 
     try:

@@ -116,7 +116,8 @@ def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 
 def _check_corners(command: Check, terminal: Terminal) -> int:
-    from ...calibrate import read_camera_imu, read_camera_views
+    from ...calibrate.steps.camera_imu_reading import read_camera_imu
+    from ...calibrate.steps.camera_reading import read_camera_views
     from ...readers.rig.streams import folder_holds_imu, recording_folder
 
     files, taken = _files(command)

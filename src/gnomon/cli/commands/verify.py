@@ -101,7 +101,8 @@ class Verify(Command, TableOptions):
             from ...readers.recordings import read
 
             return read(self.recording, **self.table), None
-        from ...calibrate import read_camera_imu, read_camera_views
+        from ...calibrate.steps.camera_imu_reading import read_camera_imu
+        from ...calibrate.steps.camera_reading import read_camera_views
 
         stated, _ = files_beside(self.recording, {"cam": self.cam, "imu": self.imu, "target": self.target})
         if stated["target"] is None:
