@@ -26,7 +26,7 @@ from gnomon.readers.recordings import ReadLog
 from gnomon.simulate.images.platter_video import simulate_platter_video
 from gnomon.simulate.scenarios.turntable import PlatterScenario
 from gnomon.units import Units
-from gnomon.writers.video import save_video
+from gnomon.writers.image_folders import save_video
 
 RUNS = 3
 FILES = {"mpeg4": "platter.mp4", "mjpeg": "platter.mkv", "ffv1": "lossless.mkv"}

@@ -26,7 +26,7 @@ from gnomon.recording.frames import ImageStream
 from gnomon.recording.recording import ImageRecording
 from gnomon.results.calibration import Calibration
 from gnomon.writers.bag_recording import save_bag
-from gnomon.writers.euroc_folder import save_euroc
+from gnomon.writers.image_folders import save_euroc
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 SMALL: dict[str, Any] = {

@@ -18,7 +18,7 @@ import pytest
 
 from gnomon.cli import main
 from gnomon.live.hand import SimulatedHand
-from gnomon.writers.video import save_video
+from gnomon.writers.image_folders import save_video
 from headless import CHROMIUM, WHY_NOT, Browser
 
 pytest.importorskip("uvicorn")

@@ -8,7 +8,7 @@ import pytest
 
 from gnomon.cli import main
 from gnomon.recording.frames import Grey
-from gnomon.writers.video import save_video
+from gnomon.writers.image_folders import save_video
 
 USAGE, BAD_INPUT = 2, 3
 SMALL = ["--width", "160", "--height", "120", "--duration-s", "20", "--rate-rad-s", "4.7"]

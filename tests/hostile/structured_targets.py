@@ -24,8 +24,8 @@ from gnomon.formats.foreign_files import load_any, load_foreign
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
 from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.own.dataclass_file import options_text, read_options, read_use
 from gnomon.formats.own.noise_file import load_noise, noise_text
-from gnomon.formats.own.options_file import options_text, read_options, read_use
 from gnomon.formats.sensor_inputs import read_cameras, read_imu_noise, read_imus, read_rig
 from gnomon.formats.shared.losses import StatedImu
 from gnomon.models.noise import ImuNoise

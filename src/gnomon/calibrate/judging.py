@@ -4,7 +4,7 @@ from os import PathLike
 
 from ..assess.needs import judge_for_use
 from ..errors import OptionError
-from ..formats.own.options_file import read_use
+from ..formats.own.dataclass_file import read_use
 from ..options.requirements import GENERAL, Use
 from ..results.calibration import Calibration
 from ..results.result import Result, calibration_of

@@ -104,7 +104,7 @@ class FromScenario(Command):
         FormatError
             If the file cannot be read, or states something that is no option.
         """
-        from ..formats.own.options_file import read_options  # NumPy is not needed for most lines
+        from ..formats.own.dataclass_file import read_options
 
         path = values.get(("scenario",))
         base = {"options": read_options(path, cls.scenario_type)} if path else {}

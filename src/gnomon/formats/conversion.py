@@ -24,22 +24,22 @@ from .shared.sensor_losses import at_middle_rows
 from .shared.si_units import with_full_scale
 
 FORMATS = {
-    "imu_tk": "imu_tk",
-    "kalibr": "kalibr.imu",
-    "openvins": "openvins",
-    "vins-fusion": "vins_fusion",
-    "orb-slam3": "orb_slam3",
-    "basalt": "basalt",
-    "okvis": "okvis",
-    "px4": "px4",
-    "ardupilot": "ardupilot",
-    "ros2": "ros2",
-    "imucal": "imucal",
-    "c-header": "c_header",
-    "json": "own.calibration_json",
-    "csv": "own.parameter_csv",
+    "imu_tk": "imu_tk.export",
+    "kalibr": "kalibr.imu.export",
+    "openvins": "openvins.export",
+    "vins-fusion": "vins_fusion.export",
+    "orb-slam3": "orb_slam3.export",
+    "basalt": "basalt.export",
+    "okvis": "okvis.export",
+    "px4": "flight_controllers.export_px4",
+    "ardupilot": "flight_controllers.export_ardupilot",
+    "ros2": "ros2.export",
+    "imucal": "imucal.export",
+    "c-header": "c_header.export",
+    "json": "own.calibration_json.export",
+    "csv": "own.parameter_csv.export",
 }
-"""Name of a format -> the module here that makes it."""
+"""Name of a format -> the function here that makes it, by its module."""
 
 WITH_NOISE = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
 """Formats that hold noise and rate of the IMU."""
@@ -131,7 +131,7 @@ def export_texts(
         )
     if imu is not None:
         stated |= imu if isinstance(imu, Mapping) else stated_imus(imu)
-    module = import_module(f".{FORMATS[to]}", __package__)
+    module, _, function = FORMATS[to].rpartition(".")
     losses = tuple(remark_losses(calibration, cameras=to not in _WITHOUT_CAMERAS))
     if to in PROGRAMS:
         from .shared.lens_refit import with_known_lenses
@@ -141,7 +141,7 @@ def export_texts(
     losses += tuple(ignored_values(calibration, to))
     if to in _OF_ONE_INSTANT:
         calibration = at_middle_rows(calibration)
-    export: Export = module.export(
+    export: Export = getattr(import_module(f".{module}", __package__), function)(
         calibration, Context(stated=stated, remarks=(*origin_remarks(calibration), *loss_sentences(losses)))
     )
     return Export(files=export.files, losses=(*losses, *export.losses))

@@ -13,6 +13,7 @@ from ..errors import FormatError
 from ..results.calibration import Calibration, CameraCalibration
 from ..results.sensors import calibration_parameters
 from .basalt import basalt_of, is_basalt
+from .flight_controllers import is_flight_parameters, read_flight_parameters
 from .foreign import ForeignCalibration, recognised_frame
 from .imu_tk import is_imu_tk, read_imu_tk, stated_triad
 from .imucal import read_imucal
@@ -26,7 +27,6 @@ from .own.calibration_file import load
 from .own.calibration_text import is_noise, is_own
 from .own.parameter_csv import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
-from .shared.flight_parameters import is_flight_parameters, read_flight_parameters
 from .shared.foreign_yaml import read_foreign_yaml
 from .shared.structured import Node, read_json, read_structured_text
 from .vins_fusion import is_vins, is_vins_lens, lens_of, vins_of

@@ -11,7 +11,7 @@ from threading import Event
 from typing import NamedTuple
 
 from ..errors import OptionError, RecordingError
-from ..formats.own.options_file import read_options
+from ..formats.own.dataclass_file import read_options
 from ..models.target import Target
 from ..readers.images.image_recording import open_images
 from ..recording.frames import Frame, Grey

@@ -29,7 +29,7 @@ import numpy as np
 from ..errors import OutputError
 from ..formats.kalibr.target import target_text
 from ..formats.own.calibration_text import calibration_text
-from ..formats.own.options_file import options_text
+from ..formats.own.dataclass_file import options_text
 from ..formats.shared.yaml_text import kalibr_yaml
 from ..models.camera import Camera
 from ..output import atomic_file, write_whole
@@ -44,10 +44,9 @@ from ..simulate.images.board_images import rendered_cameras, simulated_images
 from ..simulate.images.room_images import room_images
 from ..simulate.scenarios.camera_imu import MOST_IMUS, RoomScenario
 from .bag_recording import save_bag
-from .euroc_folder import save_euroc
+from .image_folders import save_euroc, save_simulated_images
 from .kalibr_files import trajectory_text
 from .recording_file import save_recording
-from .video import save_simulated_images
 
 _WORKERS, _AHEAD = 2, 8
 ImageForm = Literal["folder", "euroc", "ros1", "ros2", "mcap"]

@@ -17,7 +17,7 @@ from gnomon.cli import main
 from gnomon.cli.command import COMMANDS, parse_command
 from gnomon.cli.commands.camera_imu import CameraImu, SimulateCameraImu
 from gnomon.cli.files import CAMERA_IMU_FILES
-from gnomon.formats.own.options_file import options_text
+from gnomon.formats.own.dataclass_file import options_text
 from gnomon.options import CameraImuOptions
 from gnomon.writers.kalibr_files import CAMERA_IMU_FILES as KALIBR_FILES
 

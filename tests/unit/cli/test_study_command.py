@@ -13,7 +13,7 @@ from gnomon.cli.commands.study import STUDIES, StudyEntry, StudyFunctions, tell_
 from gnomon.cli.terminal import Terminal
 from gnomon.progress import Step
 from gnomon.report.page import KeyNumber, render_page
-from gnomon.report.studies.page import study_page
+from gnomon.report.studies import study_page
 from gnomon.study.journal import JOURNAL
 from gnomon.study.runs import carry_out, run_seeds, scatter_bounds
 from gnomon.study.tables import Claim, StudyTable, claims_table, ratio_agrees

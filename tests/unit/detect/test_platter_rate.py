@@ -14,7 +14,7 @@ from gnomon.detect.platter.turn import missing_frames, rate_by_jitter, stamps_ar
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.recording.frames import Frame, ImageStream
 from gnomon.simulate.images.platter_video import simulate_platter_video
-from gnomon.writers.video import save_video
+from gnomon.writers.image_folders import save_video
 from platter_videos import HARD, HOPELESS, RPM, scenario
 
 OPEN = ("print of twelve parts",)

@@ -25,8 +25,8 @@ from gnomon.formats.kalibr import camchain
 from gnomon.formats.kalibr import target as kalibr_target
 from gnomon.formats.own.calibration_file import SIGMAS
 from gnomon.formats.own.calibration_text import calibration_text
+from gnomon.formats.own.dataclass_file import read_use
 from gnomon.formats.own.noise_file import allan_text, noise_document
-from gnomon.formats.own.options_file import read_use
 from gnomon.options.requirements import GENERAL, GENERAL_IMU, GENERAL_RIG, QUANTITIES, USES, parse_sigma
 from gnomon.readers.images.image_files import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS

@@ -13,7 +13,7 @@ from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.noise import ImuNoise
-from gnomon.writers.foreign_tables import foreign_document, foreign_tables
+from gnomon.writers.tables import foreign_document, foreign_tables
 
 FULL = "rendered-camimu/a-aprilgrid-full/kalibr/scale-misalignment-size-effect"
 KALIBR = [

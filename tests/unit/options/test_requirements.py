@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import FormatError, OptionError
-from gnomon.formats.own.options_file import read_use
+from gnomon.formats.own.dataclass_file import read_use
 from gnomon.options.requirements import QUANTITIES, USES, parse_sigma
 
 

@@ -20,7 +20,7 @@ from gnomon.report.cameras.lens import (
     radial_curve,
     undistorted_grid,
 )
-from gnomon.report.cameras.sections import board_section
+from gnomon.report.cameras.page import board_section
 from gnomon.report.cameras.views import epipolar_errors, views_around
 from gnomon.report.corners import unseen_places, view_groups
 from gnomon.report.page import write_report

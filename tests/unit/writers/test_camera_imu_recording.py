@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, FormatError, OutputError, Scenario, load, read_camera_imu, simulate_camera_imu
-from gnomon.formats.own.options_file import options_text, read_options
+from gnomon.formats.own.dataclass_file import options_text, read_options
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 BASE = CameraImuScenario(duration_s=3.0, random_extrinsics=True, motion="shaky", distance_m=0.6)

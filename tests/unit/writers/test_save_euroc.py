@@ -12,7 +12,7 @@ from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.recording.frames import Frame, ImageStream
 from gnomon.recording.recording import ImageRecording
-from gnomon.writers.euroc_folder import save_euroc
+from gnomon.writers.image_folders import save_euroc
 from image_folders import START, STEP, frames_of, picture, stamps
 
 CAMERA = Camera(

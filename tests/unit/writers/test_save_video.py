@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.errors import OptionError, OutputError
 from gnomon.readers.images.image_recording import open_images
-from gnomon.writers.video import save_video
+from gnomon.writers.image_folders import save_video
 from image_folders import frames_of, picture
 
 TIMES = np.cumsum(np.random.default_rng(2).integers(30_000_000, 90_000_000, 12))

@@ -109,8 +109,8 @@ def read_comparison(path: Path) -> "Comparison":
         If it cannot be read, or an older version wrote it; the message names the key.
     """
     from ...assess.comparison.comparison import Comparison, Repeatability
+    from ...formats.own.dataclass_file import number_or_nan, read_class
     from ...formats.shared.structured import Node, read_json
-    from ...formats.shared.typed_values import number_or_nan, read_class
 
     unknown = {"z_rms": number_or_nan, "limit": number_or_nan}
 

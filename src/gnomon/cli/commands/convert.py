@@ -219,7 +219,7 @@ def _write(recording: "ImageRecording", output: Path, form: str, terminal: Termi
     """Write the recording, and return sentences on what was left out."""
     notes: list[str] = []
     if form == "euroc":
-        from ...writers.euroc_folder import save_euroc
+        from ...writers.image_folders import save_euroc
 
         save_euroc(recording, output, terminal.progress, notes)
     else:

@@ -100,7 +100,7 @@ class Show(Command):
 
 def _show_foreign(path: Path, form: str, terminal: Terminal) -> int:
     from ...formats.foreign_files import load_foreign
-    from ...writers.foreign_tables import foreign_document, foreign_tables
+    from ...writers.tables import foreign_document, foreign_tables
 
     foreign = load_foreign(path)
     print_assumptions(foreign.notes, terminal)

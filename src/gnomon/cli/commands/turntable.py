@@ -256,7 +256,7 @@ def _save_videos(command: SimulateTurntable, rates: Sequence[float], staging: Pa
     """Write a video of the platter at each speed, and return the names of the files."""
     from ...simulate.images.platter_video import simulate_platter_video
     from ...simulate.scenarios.turntable import PlatterScenario
-    from ...writers.video import save_video
+    from ...writers.image_folders import save_video
 
     names: list[str] = []
     for rpm, rate in zip(command.scenario.rpm, rates, strict=True):
@@ -364,7 +364,7 @@ class SimulatePlatterVideo(Command):
     def run(self, terminal: Terminal) -> int:
         """Draw and write a video, say its true rate, and return the exit code."""
         from ...simulate.images.platter_video import simulate_platter_video as simulated
-        from ...writers.video import save_video
+        from ...writers.image_folders import save_video
 
         terminal.progress("drawing the frames")
         video = simulated(self.scenario, self.seed)

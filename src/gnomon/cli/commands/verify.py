@@ -134,8 +134,8 @@ def read_verification(path: Path) -> "Verification":
         If it cannot be read, or an older version wrote it; the message names the key.
     """
     from ...assess.comparison.verification import Verification
+    from ...formats.own.dataclass_file import read_class
     from ...formats.shared.structured import read_json
-    from ...formats.shared.typed_values import read_class
 
     root = read_json(path)
     kept = {node.key: node.value for node in root.entries() if node.key != "subject"}

@@ -37,7 +37,6 @@ from ...results.temperature_dependence import TEMPERATURE_PARTS, TemperatureDepe
 from ...results.trust import VERDICTS, Need, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..shared.structured import Node, read_json, read_structured_text, read_yaml
-from ..shared.typed_values import number_or_nan, read_class, read_typed
 from .calibration_text import (
     BOARD_NUMBERS,
     SCHEMA_MAJOR,
@@ -47,6 +46,7 @@ from .calibration_text import (
     calibration_at,
     imu_keys,
 )
+from .dataclass_file import number_or_nan, read_class, read_typed
 
 COMMENT = "comment"
 

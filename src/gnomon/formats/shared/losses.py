@@ -404,7 +404,7 @@ def _kalibr_line_delay(calibration: Calibration) -> Iterator[Loss]:
 
 
 def _px4_threshold(calibration: Calibration) -> Iterator[Loss]:
-    from .flight_parameters import flight_imu
+    from ..flight_controllers import flight_imu
 
     for name, imu in calibration.imus.items():
         flight = flight_imu(imu)

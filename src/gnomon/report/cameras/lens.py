@@ -1,12 +1,7 @@
-"""What a lens does with angles, and how well that is known: numbers for the figures of a camera report.
-
-Standard deviations follow from the covariance of the lens's parameters by the derivatives of its image. Where a lens
-and the attitude of its camera trade against each other, as a shift of the principal point does with a small turn, the
-turn is taken off: whoever uses the lens estimates an attitude with it.
-"""
+"""What a lens does with angles, and how well that is known: numbers, figures and the section of a camera report."""
 
 from collections.abc import Mapping
-from math import degrees
+from math import degrees, isfinite
 
 import numpy as np
 
@@ -16,11 +11,12 @@ from ...geometry.rotation_vector import skew
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Calibration
-from ...results.camera_diagnostics import LensTrial
+from ...results.camera_diagnostics import CamerasDiagnostics, LensTrial
 from ..corners import CornerView, image_panels, images_height
 from ..drawing.figures import TEXT, WIDTH, Plot, Sheet, draw_dots
 from ..drawing.panel import DASHED, TextStyle
-from ..numbers import finite_values, highest_finite, number_text, positive_or
+from ..numbers import MISSING, finite_values, fixed_text, highest_finite, number_text, positive_or
+from ..page import Block, Figure, Legend, ReportTable, Section
 
 SPREAD_COLUMNS = 30
 """Cells across the image in which the standard deviation of a projection is found."""
@@ -362,3 +358,129 @@ def _span(values: np.ndarray) -> tuple[float, float]:
     known = known[known > 0]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.1, 1.0)
     return 0.8 * low, max(1.25 * high, 2.0 * low)
+
+
+def lens_section(
+    calibration: Calibration,
+    diagnostics: CamerasDiagnostics,
+    views: dict[str, CornerView],
+    curves: dict[str, RadialCurve],
+    spreads: dict[str, ProjectionSpread],
+) -> Section:
+    """Return what each lens does, how well that is known, and which models were tried."""
+    blocks: list[Block] = []
+    if spreads:
+        blocks += [_spread_figure(views, spreads), _spread_table(spreads)]
+    for name, curve in curves.items():
+        blocks += [_curve_figure(name, curve, known=name in spreads), _grid_figure(calibration, name)]
+    for name in calibration.cameras:
+        blocks += _trials(name, [trial for trial in diagnostics.trials if trial.camera == name])
+    return Section(
+        "lens",
+        "What the lens does",
+        "How well the image of a ray is known, from ray to pixel, and the models that were compared.",
+        blocks,
+    )
+
+
+def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
+    return Figure(
+        "Uncertainty of the projection [px]",
+        draw_ray_sigmas({name: views[name] for name in spreads}, spreads),
+        (
+            Legend("band", "heldout", "with corners: the stronger, the less certain"),
+            Legend("band", "before", "without corners, by the formula of the model alone"),
+        ),
+        "1σ per axis of where the image of a ray lies, carried from the covariance of the lens. A small turn "
+        "of the camera that a change of the lens can be taken for was taken off, since every use estimates an attitude "
+        "with the lens. It counts noise alone: where there were corners an error of the lens model shows in the "
+        "residuals, and where there were none nothing shows it, and it may be many times larger.",
+    )
+
+
+def _spread_table(spreads: dict[str, ProjectionSpread]) -> ReportTable:
+    rows: list[tuple[str, ...]] = []
+    for name, one in spreads.items():
+        known = np.isfinite(one.sigma)
+        parts = (one.sigma[known & one.seen], one.sigma[known & ~one.seen], one.fixed[known & one.seen])
+        cells = [f"{number_text(float(np.median(part)), 2)}\u00a0px" if len(part) else MISSING for part in parts]
+        rows.append(
+            (
+                name,
+                cells[0],
+                cells[1],
+                f"{number_text(float(np.max(one.sigma[known], initial=0.0)), 2)}\u00a0px",
+                cells[2],
+            )
+        )
+    return ReportTable(
+        "Uncertainty of the projection in numbers",
+        ("", "with corners", "without corners", "largest", "axes held fast"),
+        rows,
+        "Medians over the parts of the image with and without corners; the last column, with corners, holds "
+        "the small turn too.",
+    )
+
+
+def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
+    high, wide = (f"{fixed_text(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
+    return Figure(
+        f"From ray to pixel, {name}",
+        draw_lens_curve(name, found),
+        (
+            Legend("line", "after", "this lens"),
+            Legend("dash", "before", "pinhole, f tan θ"),
+            Legend("dash", "heldout", "equal angles, f θ"),
+            Legend("line", "accent", "farthest corner used"),
+            Legend("dash", "muted", "nearest edges of the image"),
+        ),
+        f"Mean over all directions about the optical axis; focal length {number_text(found.focal, 5)} px at it. "
+        f"The image ends at {high} above or below and at {wide} aside."
+        + ("" if known else " The lens was given; no σ is known."),
+    )
+
+
+def _grid_figure(calibration: Calibration, name: str) -> Figure:
+    return Figure(
+        f"The image of {name}, straightened",
+        draw_lens_grid(name, calibration.cameras[name].camera),
+        (Legend("line", "after", "rows and columns of pixels"), Legend("dash", "ink", "frame of the image")),
+        "Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
+        "point. Rays more than 68° off the axis are left out.",
+    )
+
+
+def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
+    if not tried:
+        return []
+    tried = sorted(tried, key=lambda t: (not isfinite(t.holdout_rms_px), t.holdout_rms_px, t.parameters))
+    chosen = next((t for t in tried if t.chosen), None)
+
+    def against(trial: LensTrial, key: str) -> str:
+        if chosen is None or not isfinite(ratio := getattr(trial, key) / getattr(chosen, key)):
+            return MISSING
+        return "taken" if trial is chosen else f"{fixed_text(100 * (ratio - 1), 1, sign=True)}\u00a0%"
+
+    rows = tuple(
+        (t.model, str(t.parameters), *(against(t, key) for key in ("holdout_rms_px", "rms_px"))) for t in tried
+    )
+    blocks: list[Block] = []
+    if len(tried) > 1:
+        blocks.append(
+            Figure(
+                f"Lens models tried on {name}",
+                draw_lens_trials(name, tried),
+                (Legend("dot", "after", "views held out"), Legend("ring", "before", "views used")),
+            )
+        )
+    blocks.append(
+        ReportTable(
+            f"Lens models of {name} in numbers",
+            ("model", "parameters", "views held out", "views used"),
+            rows,
+            marked=tried.index(chosen) if chosen is not None else None,
+            caption="rms residual per axis. Views held out took no part in the estimate and have a pose of their own. "
+            "Of models that fit them alike the smallest is taken.",
+        )
+    )
+    return blocks

@@ -1,23 +1,57 @@
-"""What the report of a calibration of cameras alone says: the page of page.py, filled from a Result."""
+"""The report of a calibration of cameras alone: its page, and sections on lenses, coverage, residuals and the board."""
 
 from collections.abc import Mapping
 from math import isfinite
 
 import numpy as np
 
+from ...findings import join_names
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Calibration, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics
 from ..camera_images import images_section
 from ..certificate import calibration_page
-from ..corners import CornerView, corner_view
-from ..numbers import MISSING, estimate_text, finite_values, number_text, percent_text
-from ..page import Code, KeyNumber, ReportPage, Section, assumptions_section, provenance_section
-from ..rig_parameters import pose_numbers
+from ..corners import (
+    CornerView,
+    corner_scatter,
+    corner_view,
+    draw_arrows,
+    draw_corner_coverage,
+    field_figure,
+    frames_figure,
+    frames_left_out,
+    unseen_places,
+)
+from ..drawing.figures import WIDTH, Plot, Sheet, draw_dots
+from ..drawing.rig import rig_drawing
+from ..numbers import MISSING, estimate_text, finite_values, largest_magnitude, number_text, percent_text, positive_or
+from ..page import (
+    Block,
+    Code,
+    Figure,
+    KeyNumber,
+    Legend,
+    ParameterTable,
+    ReportPage,
+    ReportTable,
+    Section,
+    aligned_matrix,
+    assumptions_section,
+    provenance_section,
+)
+from ..rig_parameters import lens_groups, pose_groups, pose_numbers
 from ..trust import noise_table, parameters_section, steps_table, trust_section
-from . import sections
-from .lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
+from .lens import (
+    ProjectionSpread,
+    RadialCurve,
+    field_of_view,
+    lens_covariance,
+    lens_section,
+    projection_spread,
+    radial_curve,
+)
+from .views import epipolar_tables, views_section
 
 _WHOLE = 0.97
 """Share of the image that corners reached from which it is taken for all of it."""
@@ -31,13 +65,13 @@ def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> R
     }
     curves, spreads = _lenses(calibration, views)
     parts = (
-        sections.lenses_section(calibration, diagnostics),
+        lenses_section(calibration, diagnostics),
         trust_section(calibration.assessment, diagnostics.trust),
-        sections.cameras_coverage_section(diagnostics, views, fit) if views else None,
-        sections.cameras_residuals_section(diagnostics, views),
-        sections.views_section(diagnostics),
-        sections.lens_section(calibration, diagnostics, views, curves, spreads),
-        sections.board_section(fit, diagnostics) if fit is not None else None,
+        cameras_coverage_section(diagnostics, views, fit) if views else None,
+        cameras_residuals_section(diagnostics, views),
+        views_section(diagnostics),
+        lens_section(calibration, diagnostics, views, curves, spreads),
+        board_section(fit, diagnostics) if fit is not None else None,
         images_section(diagnostics.corners),
         parameters_section(diagnostics),
         _solution(diagnostics, converged=fit is None or fit.converged),
@@ -293,3 +327,190 @@ def _camchain(calibration: Calibration, name: str, camera: Camera) -> str:
         T = calibration.cameras[name].T_cam_body @ np.linalg.inv(T_before)
         lines += ["  T_cn_cnm1:", *(f"  - {row(values)}" for values in T)]
     return "\n".join(lines)
+
+
+_AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
+
+
+def lenses_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Section:
+    """Return the lenses, and where the cameras sit to the first one."""
+    several = len(calibration.cameras) > 1
+    blocks: list[Block] = [
+        ParameterTable(title=name if several else "", groups=lens_groups(calibration, name))
+        for name in calibration.cameras
+    ]
+    if several:
+        first = next(iter(calibration.cameras))
+        blocks.append(
+            Figure(
+                "The rig",
+                rig_drawing(calibration),
+                _AXES,
+                f"The frames of the cameras, to scale, seen from behind {first}, a little from above. A "
+                "camera's z looks out of the lens, x to the right of its image, y down.",
+            )
+        )
+    for name, camera in calibration.cameras.items():
+        if groups := pose_groups(calibration, name):
+            blocks += [
+                ParameterTable(title=f"{name} against {camera.body}", groups=groups),
+                Code(
+                    f"{camera.link} of {name}: p_cam = {camera.link} p_{camera.body}, in metres",
+                    aligned_matrix(camera.link, camera.T_cam_body),
+                ),
+            ]
+    blocks += epipolar_tables(calibration, diagnostics)
+    lead = "The lens of each camera" + (", and the relative poses of the cameras" if several else "")
+    return Section(
+        "cameras",
+        "Cameras" if several else "Lens",
+        f"{lead}, each number with its standard deviation σ. Pixel (0, 0) is the middle of the upper left pixel.",
+        blocks,
+    )
+
+
+def cameras_coverage_section(
+    diagnostics: CamerasDiagnostics, views: dict[str, CornerView], fit: CamerasFit | None
+) -> Section:
+    """Return where in the image corners were used."""
+    counts = {name: diagnostics.coverage.get(name, np.ones((1, 1))) for name in views}
+    shares = {name: float(np.mean(np.asarray(count) > 0)) for name, count in counts.items()}
+    if fit is not None:
+        shares |= {name: part for name, part in fit.coverage.items() if name in shares}
+    reached = "; ".join(f"{name} {percent_text(part)}" for name, part in shares.items())
+    return Section(
+        "coverage",
+        "Coverage",
+        "Where there were no corners nothing tests the lens: its model is carried on there by its formula alone.",
+        (
+            Figure(
+                "Corners in the image",
+                draw_corner_coverage(views, counts),
+                (
+                    Legend("dot", "after", "corner used"),
+                    Legend("band", "accent", "cell without any"),
+                    Legend("dash", "accent", "hold the board there next"),
+                ),
+                f"Share of the cells with corners: {reached}. {_next_views(counts)}",
+            ),
+        ),
+    )
+
+
+def _next_views(counts: dict[str, Floats]) -> str:
+    parts = [
+        f"{name} in the {join_names([place for _, place in found])}"
+        for name, count in counts.items()
+        if (found := unseen_places(count))
+    ]
+    if not parts:
+        return "No larger part of an image is without corners."
+    return f"Hold the board where corners are missing: {'; '.join(parts)} of the image. Tilt it there to both sides."
+
+
+def cameras_residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView]) -> Section:
+    """Return what is left of the corners: over the image, their scatter, and view by view."""
+    blocks: list[Block] = [field_figure(views)] if views else []
+    for name, view in views.items():
+        blocks += [corner_scatter(name, view), frames_figure(name, view, "view")]
+    blocks += frames_left_out(diagnostics.corners, "Views that were not used")
+    return Section(
+        "residuals",
+        "Residuals",
+        "Residuals that look like noise, without a pattern over the image and alike in views used and held out, "
+        "say that the lens model is right and does not follow the noise.",
+        blocks,
+    )
+
+
+_STEPS = 4
+"""Sizes of the dots that show how far a point is out of the plane."""
+_TO_SPEAK_OF = 0.05
+"""Share of the largest shift from which shifts in the plane are drawn."""
+_SHAPES = {"target.aspect": "aspect", "target.bow": "bow", "target.corners": "place of every point"}
+
+
+def board_section(fit: CamerasFit, diagnostics: CamerasDiagnostics) -> Section:
+    """Return what was found of the board."""
+    shifts = np.asarray(diagnostics.board_shifts, dtype=np.float64)
+    blocks: list[Block] = []
+    added = ", ".join(_SHAPES.get(name, name) for name in fit.board_added)
+    if shifts.any():
+        blocks.append(_figure(diagnostics.board_points, shifts))
+    blocks.append(_numbers(fit, shifts))
+    lead = (
+        f"The views prove that the board is not as stated; estimated: {added}."
+        if added
+        else "The board was taken as stated: flat, and its points where the file says. Nothing else was estimated."
+    )
+    return Section("board", "Board", lead, blocks)
+
+
+def _numbers(fit: CamerasFit, shifts: Floats) -> ReportTable:
+    def row(name: str, value: float, sigma: float, unit: str, meaning: str) -> tuple[str, ...]:
+        held = not (isfinite(value) and sigma > 0)
+        text = "not estimated" if held else f"{estimate_text(value, sigma, sign=True)} {unit}".replace(" ", "\u00a0")
+        return name, text, meaning
+
+    rows = [
+        row("aspect", 100 * fit.aspect, 100 * fit.aspect_sigma, "%", "scale of y over that of x, minus 1"),
+        row("bow", 1e3 * fit.bow_m, 1e3 * fit.bow_sigma_m, "mm", "of the middle, towards the viewer"),
+        row("print scale", 100 * (fit.print_scale - 1), 100 * fit.print_scale_sigma, "%",
+            "true size over stated, minus 1; needs --baseline"),
+    ]  # fmt: skip
+    for name, part in (("largest shift in the plane", shifts[:, :2]), ("largest shift out of it", shifts[:, 2:])):
+        size = largest_magnitude(np.linalg.norm(part, axis=1)) if len(part) else float("nan")
+        text = f"{number_text(1e3 * size, 2)}\u00a0mm" if size > 0 else MISSING
+        rows.append((name, text, "of a point"))
+    return ReportTable("In numbers", ("", "found", "what it is"), rows, remarked=True)
+
+
+def _figure(points: Floats, shifts: Floats) -> Figure:
+    longer = _magnification(points, shifts)
+    high = 1e3 * largest_magnitude(shifts[:, 2])
+    drawn = f"Arrows are {number_text(longer)} times as long as the shifts. " if longer else ""
+    return Figure(
+        "Where the points of the board are",
+        draw_board_shape(points, shifts, longer),
+        (
+            Legend("dot", "after", "above the plane (+z)"),
+            Legend("dot", "heldout", "below it (−z)"),
+            *((Legend("line", "ink", "shift in the plane"),) if longer else ()),
+        ),
+        f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number_text(high, 2)} mm. What "
+        "a shift, a turn and a common scale of all points do is part of the poses, and was taken off.",
+    )
+
+
+def _magnification(points: Floats, shifts: Floats) -> float:
+    """Return by how much arrows are lengthened, a round number; zero without shifts in the plane to speak of."""
+    most = largest_magnitude(np.linalg.norm(shifts[:, :2], axis=1))
+    if not most > _TO_SPEAK_OF * largest_magnitude(shifts):
+        return 0.0
+    wanted = 0.06 * positive_or(float(np.ptp(points[:, :2], axis=0).max())) / most
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.0001))
+
+
+def draw_board_shape(points: Floats, shifts: Floats, longer: float) -> Plot:
+    """Draw the points with dots for how high they are and arrows for how they are shifted in the plane."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    room = 0.09 * positive_or(float((high - low).max()))
+    low, high = low - room, high + room
+    width = min(WIDTH - 90, 470 * (high[0] - low[0]) / (high[1] - low[1]))
+    height = width * (high[1] - low[1]) / (high[0] - low[0])
+    up, most = shifts[:, 2], positive_or(largest_magnitude(shifts[:, 2]))
+
+    sheet = Sheet()
+    panel = sheet.panel("Board: y over x [m]", top=36, height=height, left=62, right=WIDTH - 62 - width)
+    panel.x.grid = True
+    panel.x.span(low[0], high[0])
+    panel.y.span(low[1], high[1])
+    for color, sign in (("after", 1.0), ("heldout", -1.0)):
+        step = np.ceil(_STEPS * np.clip(sign * up / most, 0, 1)).astype(int)
+        for k in range(1, _STEPS + 1):
+            draw_dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
+    draw_dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
+    if longer:
+        draw_arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
+    return sheet.draw("board", height + 84, f"Shifts of the {len(points)} points of the board.")

@@ -63,8 +63,7 @@ from ..page import (
     provenance_section,
 )
 from ..trust import trust_section
-from .joined import joined_numbers, joined_sections
-from .triads import at_rest_section, dip_section, iteration_blocks, rates_section
+from .kinds import at_rest_section, dip_section, iteration_blocks, joined_numbers, joined_sections, rates_section
 from .vectors import (
     COUNTED,
     MOST_ROWS,

@@ -12,7 +12,7 @@ from ..drawing.figures import LEFT, Plot, Sheet, draw_dots, set_y_limits
 from ..drawing.panel import Panel, TextStyle
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
-from .page import study_page
+from . import study_page
 
 _AXES = ("x", "y", "z")
 _SHOWN = (degrees(1.0), 1.0, 1e3)

@@ -8,7 +8,7 @@ from ...study.circuit_walk import MEASURES, QUANTITIES, SCENARIO, WAYS
 from ..drawing.figures import LEFT, RIGHT, WIDTH, Sheet, draw_dots, log_limits
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
-from .page import study_page
+from . import study_page
 
 _SETUP = (
     f"A rig within the tolerances of a data sheet (MPU-6000; mounted by hand) is carried round an ellipse of "

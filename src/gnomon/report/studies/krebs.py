@@ -24,7 +24,7 @@ from ..drawing.figures import WIDTH, Plot, Sheet
 from ..drawing.panel import Panel
 from ..numbers import finite_values, fixed_text, number_text, positive_or
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
-from .page import study_page
+from . import study_page
 
 _SHOWN = {"m": "mm", "s": "ms", "rad": "mrad", "-": "10⁻³", "rad/s per m/s^2": "mrad/s per m/s²", "m/s^2": "mm/s²"}
 """Units as which a thousandth of each is shown."""

@@ -25,7 +25,7 @@ from ...study.tedaldi_trial import METHODS, SCENARIO, Method
 from ..drawing.figures import Plot, Sheet, draw_dots, draw_envelope, log_limits, set_y_limits
 from ..numbers import fixed_text, number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
-from .page import study_page
+from . import study_page
 
 _CALLED = {"gnomon": "gnomon", "tedaldi2014-text": "Algorithm 1 as printed", "tedaldi2014": "authors' script"}
 """The methods, as the page calls them; the last two are presets of gnomon."""

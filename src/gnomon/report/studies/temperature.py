@@ -6,7 +6,7 @@ from ...study.temperature import METHODS, TemperatureStudy, temperature_claims
 from ..drawing.figures import Sheet, log_limits
 from ..numbers import number_text
 from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
-from .page import study_page
+from . import study_page
 
 _SETUP = (
     "Gyroscopes with polynomials of order 0 to 3, white noise of an MPU-6050 or a BMI088 by their data sheets, 1/f "

@@ -1,7 +1,8 @@
-"""Parameters of PX4 and ArduPilot: offsets and scales of accelerometers, offsets of gyroscopes.
+"""PX4 and ArduPilot, both ways: offsets and scales of accelerometers, offsets of gyroscopes, effects of temperature.
 
 PX4 corrects f = (a - OFF) SCALE, ArduPilot f = (a - OFFS) SCAL, and both w = y - OFF, axis by axis, of samples in m/s^2
-and rad/s. Files are those of ground stations, of "param set NAME VALUE", and NAME,VALUE or NAME VALUE.
+and rad/s; PX4 before it turns both from the sensor's axes to the vehicle's. Files are those of ground stations, of
+"param set NAME VALUE", and NAME,VALUE or NAME VALUE: CAL_ACC0_XOFF, CAL_GYRO0_XOFF, ...; INS_ACCOFFS_X, ...
 """
 
 import re
@@ -12,17 +13,17 @@ from os import PathLike
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ...errors import FormatError, OptionError
-from ...frozen import value_class
-from ...models.project_forms import DiagonalTriad
-from ...recording import Floats
-from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
-from ...results.temperature_dependence import TemperatureDependence
-from ..foreign import ForeignCalibration, recognised_frame
-from .losses import Context, Loss
-from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
-from .si_units import refuse_counts, si_conversions
-from .structured import read_structured_text
+from ..errors import FormatError, OptionError
+from ..frozen import value_class
+from ..models.project_forms import DiagonalTriad
+from ..recording import Floats
+from ..results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
+from ..results.temperature_dependence import TemperatureDependence
+from .foreign import ForeignCalibration, recognised_frame
+from .shared.losses import Context, Export, Loss
+from .shared.sensor_losses import Holds, not_representable, rest_size, si_sensitivity
+from .shared.si_units import refuse_counts, si_conversions
+from .shared.structured import read_structured_text
 
 
 @value_class
@@ -283,3 +284,177 @@ def flight_temperature(parameters: Mapping[str, float], index: int) -> FlightTem
 
 def _range(parameters: Mapping[str, float], prefix: str, usual: tuple[float, float]) -> tuple[float, float]:
     return parameters.get(f"{prefix}TMIN", usual[0]), parameters.get(f"{prefix}TMAX", usual[1])
+
+
+PX4_FILE = "px4.params"
+_PX4_IMUS = 4  # accelerometers that PX4 calibrates
+_WARM_IMUS = 3  # of which it knows the temperature
+_INTEGER, _FLOAT = 6, 9  # MAVLink's types
+_PX4_HEAD = """\
+# Sensor calibration for PX4, made by gnomon. With the samples a [m/s^2] and y [rad/s] of the topics sensor_accel and
+# sensor_gyro, axis by axis:
+#   specific force = (a - OFF) SCALE             angular rate = y - OFF
+# Body frame {frame}; its axes are those of the samples. The parameters count only where CAL_ACC0_ID and CAL_GYRO0_ID
+# are those of this sensor; they, CAL_..._PRIO and CAL_..._ROT are the vehicle's own and not in this file.
+# Where the temperature was calibrated, TC_... is taken off the samples first; TC_A0_ID and TC_G0_ID, the vehicle's
+# own, have to be those of this sensor.
+# There is no place for cameras: T_cam_imu and the time shift are not in this file.
+"""
+
+
+def export_px4(calibration: Calibration, context: Context) -> Export:
+    """Return `px4.params`.
+
+    Raises
+    ------
+    OptionError
+        If there is neither accelerometer nor gyroscope.
+    """
+    imus = require_flight_imus(calibration, "PX4", _PX4_IMUS)
+    rows = [
+        f"1\t1\t{name}\t{value!r}\t{_FLOAT}\n"
+        for i, imu in enumerate(imus.values())
+        for name, value in _px4_names(i).values(imu)
+    ]
+    rows += [
+        f"1\t1\t{name}\t{value!r}\t{kind}\n"
+        for i, imu in enumerate(list(calibration.imus.values())[:_WARM_IMUS])
+        for name, value, kind in _px4_temperature(i, imu)
+    ]
+    head = _PX4_HEAD.format(frame=calibration.frame) + context.comment()
+    text = f"{head}#\n# Vehicle-Id Component-Id Name Value Type\n{''.join(rows)}"
+    identity = Loss(
+        what="identity of the sensor",
+        why="PX4 takes the values only where CAL_ACC0_ID and CAL_GYRO0_ID are those of this sensor: calibrate it once "
+        "with the ground station, then load this file.",
+    )
+    return Export(files={PX4_FILE: text}, losses=(*flight_losses(calibration, "PX4", _PX4_IMUS, context), identity))
+
+
+def _px4_temperature(index: int, imu: ImuCalibration) -> Iterator[tuple[str, float, int]]:
+    """Yield name, value and type of the temperature's parameters.
+
+    PX4 takes X1 d + X2 d^2 + X3 d^3 off the samples, d = T - TREF, with T no farther than TMIN and TMAX, before it
+    applies CAL_ACC and CAL_GYRO.
+    """
+    found = imu.temperature
+    if found is None:
+        return
+    for conversion in si_conversions(imu):
+        coefficients = getattr(found, f"{conversion.triad}_bias")
+        if coefficients is None:
+            continue
+        letter = conversion.triad[0].upper()
+        yield f"TC_{letter}_ENABLE", 1, _INTEGER
+        for name, value in (("TMIN", found.low_degc), ("TMAX", found.high_degc), ("TREF", found.reference_degc)):
+            yield f"TC_{letter}{index}_{name}", value, _FLOAT
+        for order in range(4):
+            row = np.zeros(3) if not 1 <= order <= len(coefficients) else coefficients[order - 1] * conversion.factor
+            for axis, value in enumerate(row.tolist()):
+                yield f"TC_{letter}{index}_X{order}_{axis}", value, _FLOAT
+
+
+def _px4_names(index: int) -> ParameterNames:
+    return ParameterNames(
+        accelerometer_offset=f"CAL_ACC{index}_{{axis}}OFF",
+        accelerometer_scale=f"CAL_ACC{index}_{{axis}}SCALE",
+        gyroscope_offset=f"CAL_GYRO{index}_{{axis}}OFF",
+    )
+
+
+ARDUPILOT_FILE = "ardupilot.param"
+_ARDUPILOT_IMUS = 3
+_SCALES, _LARGEST_OFFSET = (0.8, 1.2), 3.5  # ranges of its parameters [1], [m/s^2]
+_ARDUPILOT_HEAD = """\
+# Sensor calibration for ArduPilot, made by gnomon. With samples a [m/s^2] and y [rad/s] as the drivers give them, axis
+# by axis:
+#   specific force = (a - OFFS) SCAL             angular rate = y - OFFS
+# Body frame {frame}; its axes are those of the samples, before AHRS_ORIENTATION.
+# There is no place for cameras: T_cam_imu and the time shift are not in this file.
+"""
+
+
+def export_ardupilot(calibration: Calibration, context: Context) -> Export:
+    """Return `ardupilot.param`.
+
+    Raises
+    ------
+    OptionError
+        If there is neither accelerometer nor gyroscope.
+    """
+    imus = require_flight_imus(calibration, "ArduPilot", _ARDUPILOT_IMUS)
+    rows = [
+        f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _ardupilot_names(i).values(imu)
+    ]
+    rows += [
+        f"{name},{value!r}\n"
+        for i, imu in enumerate(list(calibration.imus.values())[:_ARDUPILOT_IMUS])
+        for name, value in _ardupilot_temperature(i, imu)
+    ]
+    head = _ARDUPILOT_HEAD.format(frame=calibration.frame) + context.comment()
+    losses = (
+        *flight_losses(calibration, "ArduPilot", _ARDUPILOT_IMUS, context),
+        *_range_losses(imus),
+        *_start_losses(imus),
+    )
+    return Export(files={ARDUPILOT_FILE: head + "".join(rows)}, losses=losses)
+
+
+def _ardupilot_temperature(index: int, imu: ImuCalibration) -> Iterator[tuple[str, float]]:
+    """Yield name and value of the temperature's parameters.
+
+    ArduPilot takes p(T) - p(CALTEMP) off the samples, with p(T) = 1e-6 (c1 e + c2 e^2 + c3 e^3) and e = T - 35 degC,
+    and T no farther than TMIN and TMAX, before it applies offsets and scales.
+    """
+    found = imu.temperature
+    if found is None or not any(part.endswith("_bias") for part, _ in found.parts()):
+        return
+    prefix, number = f"INS_TCAL{index + 1}_", str(index + 1)
+    yield f"{prefix}ENABLE", 1
+    yield f"{prefix}TMIN", found.low_degc
+    yield f"{prefix}TMAX", found.high_degc
+    for conversion in si_conversions(imu):
+        coefficients = getattr(found, f"{conversion.triad}_bias")
+        name = {"accelerometer": "ACC", "gyroscope": "GYR"}[conversion.triad]
+        yield f"INS_{name}{number}_CALTEMP", found.reference_degc
+        moved = np.zeros((3, 3))
+        if coefficients is not None:
+            whole = np.concatenate([np.zeros((1, 3)), coefficients * conversion.factor])
+            about = Polynomial([ARDUPILOT_REFERENCE_DEGC - found.reference_degc, 1.0])  # T - T_ref by T - 35
+            for axis in range(3):
+                shifted = np.asarray(Polynomial(whole[:, axis])(about).coef[1:], dtype=np.float64)
+                moved[: len(shifted), axis] = 1e6 * shifted
+        for order, row in enumerate(moved.tolist(), 1):
+            for axis, value in zip("XYZ", row, strict=True):
+                yield f"{prefix}{name}{order}_{axis}", value
+
+
+def _ardupilot_names(index: int) -> ParameterNames:
+    number = str(index + 1) if index else ""
+    return ParameterNames(
+        accelerometer_offset=f"INS_ACC{number}OFFS_{{axis}}",
+        accelerometer_scale=f"INS_ACC{number}SCAL_{{axis}}",
+        gyroscope_offset=f"INS_GYR{number}OFFS_{{axis}}",
+    )
+
+
+def _range_losses(imus: Mapping[str, FlightImu]) -> Iterator[Loss]:
+    low, high = _SCALES
+    for name, imu in imus.items():
+        triad = imu.accelerometer
+        if triad is None:
+            continue
+        if triad.scale.min() < low or triad.scale.max() > high or abs(triad.offset).max() > _LARGEST_OFFSET:
+            yield Loss(
+                what=f"range of {name}",
+                why=f"ArduPilot states scales from {low} to {high} and offsets up to {_LARGEST_OFFSET} m/s^2 as the "
+                "range of its parameters, and these are beyond.",
+            )
+
+
+def _start_losses(imus: Mapping[str, FlightImu]) -> Iterator[Loss]:
+    if any(imu.gyroscope for imu in imus.values()):
+        yield Loss(
+            what="gyroscope offsets",
+            why="ArduPilot measures them anew at every start, unless INS_GYR_CAL is 0.",
+        )
