@@ -20,13 +20,11 @@ from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.project_forms import BasaltTriad
 from ..recording import Floats
 from ..results.calibration import (
-    AccelerometerCalibration,
     Calibration,
     CameraCalibration,
-    GyroscopeCalibration,
     ImuCalibration,
 )
-from .foreign import ForeignCalibration, ForeignImu, recognised_frame
+from .foreign import ForeignCalibration, ForeignImu, imu_in_si, recognised_frame
 from .shared.foreign_yaml import passed_over, required_value, unit_quaternion, whole_number
 from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, unknown_lens
 from .shared.sensor_losses import Holds, not_representable
@@ -85,10 +83,8 @@ def basalt_of(root: Node) -> ForeignCalibration:
     keys = {node.key: node for node in top.entries()}
     notes: list[str] = []
     passed_over((node for key, node in keys.items() if key not in _KEYS), notes)
-    imu = ImuCalibration(
-        accelerometer=_accelerometer(keys.get("calib_accel_bias")),
-        gyroscope=_gyroscope(keys.get("calib_gyro_bias")),
-    )
+    S_a, b_a = _read_triad(keys.get("calib_accel_bias"), 9).to_sensor()
+    imu = imu_in_si((np.tril(S_a), b_a), _read_triad(keys.get("calib_gyro_bias"), 12).to_sensor())
     noise = _read_noise(keys, notes)
     rate = keys["imu_update_rate"].number() if "imu_update_rate" in keys else None
     return ForeignCalibration(
@@ -113,16 +109,6 @@ def _read_triad(node: Node | None, count: int) -> BasaltTriad:
     if np.linalg.matrix_rank(np.eye(3) + S) < 3:
         raise node.fail("with these scales and misalignments the three axes do not measure three directions.")
     return BasaltTriad(S=S, b=values[:3])
-
-
-def _accelerometer(node: Node | None) -> AccelerometerCalibration:
-    sensitivity, bias = _read_triad(node, 9).to_sensor()
-    return AccelerometerCalibration(sensitivity=np.tril(sensitivity), bias=bias, unit="m/s^2")
-
-
-def _gyroscope(node: Node | None) -> GyroscopeCalibration:
-    sensitivity, bias = _read_triad(node, 12).to_sensor()
-    return GyroscopeCalibration(sensitivity=sensitivity, bias=bias, g_sensitivity=np.zeros((3, 3)), unit="rad/s")
 
 
 def _read_noise(keys: dict[str, Node], notes: list[str]) -> ImuNoise | None:

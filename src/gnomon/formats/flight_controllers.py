@@ -19,7 +19,7 @@ from ..models.project_forms import DiagonalTriad
 from ..recording import Floats
 from ..results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..results.temperature_dependence import TemperatureDependence
-from .foreign import ForeignCalibration, recognised_frame
+from .foreign import ForeignCalibration, imu_in_si, recognised_frame
 from .shared.losses import Context, Export, Loss
 from .shared.sensor_losses import Holds, not_representable, rest_size, si_sensitivity
 from .shared.si_units import refuse_counts, si_conversions
@@ -109,29 +109,15 @@ def _at_temperature(imu: ImuCalibration, warm: FlightTemperature | None) -> ImuC
 
 
 def _imu(values: Mapping[Key, Floats], index: int) -> ImuCalibration:
-    def triad(name: str) -> DiagonalTriad | None:
+    def triad(name: str) -> tuple[Floats, Floats] | None:
         if not any((index, name, what) in values for what in ("offset", "scale")):
             return None
         return DiagonalTriad(
             scale=values.get((index, name, "scale"), np.ones(3)),
             offset=values.get((index, name, "offset"), np.zeros(3)),
-        )
+        ).to_sensor()
 
-    accelerometer, gyroscope = triad("ACC"), triad("GYR")
-    return ImuCalibration(
-        accelerometer=None if accelerometer is None else _accelerometer(accelerometer),
-        gyroscope=None if gyroscope is None else _gyroscope(gyroscope),
-    )
-
-
-def _accelerometer(triad: DiagonalTriad) -> AccelerometerCalibration:
-    sensitivity, bias = triad.to_sensor()
-    return AccelerometerCalibration(sensitivity=sensitivity, bias=bias, unit="m/s^2")
-
-
-def _gyroscope(triad: DiagonalTriad) -> GyroscopeCalibration:
-    sensitivity, bias = triad.to_sensor()
-    return GyroscopeCalibration(sensitivity=sensitivity, bias=bias, g_sensitivity=np.zeros((3, 3)), unit="rad/s")
+    return imu_in_si(triad("ACC"), triad("GYR"))
 
 
 _NOTHING = 1e-12

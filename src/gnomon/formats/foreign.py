@@ -139,13 +139,24 @@ def recognised_frame(imus: Mapping[str, ImuCalibration]) -> str:
     return "user"
 
 
+def imu_in_si(
+    force: tuple[Floats, Floats] | None, rate: tuple[Floats, Floats] | None, g_sensitivity: Floats | None = None
+) -> ImuCalibration:
+    """Return an IMU of samples in SI units by sensitivity (3, 3) and bias (3,) of each triad; None for no triad."""
+    turned = np.zeros((3, 3)) if g_sensitivity is None else g_sensitivity
+    return ImuCalibration(
+        accelerometer=None
+        if force is None
+        else AccelerometerCalibration(sensitivity=force[0], bias=force[1], unit="m/s^2"),
+        gyroscope=None
+        if rate is None
+        else GyroscopeCalibration(sensitivity=rate[0], bias=rate[1], g_sensitivity=turned, unit="rad/s"),
+    )
+
+
 def ideal_imu() -> ImuCalibration:
     """Return an IMU that measures specific force and angular rate as they are."""
-    eye, zero = np.eye(3), np.zeros((3, 3))
-    return ImuCalibration(
-        accelerometer=AccelerometerCalibration(sensitivity=eye, bias=np.zeros(3), unit="m/s^2"),
-        gyroscope=GyroscopeCalibration(sensitivity=eye, bias=np.zeros(3), g_sensitivity=zero, unit="rad/s"),
-    )
+    return imu_in_si((np.eye(3), np.zeros(3)), (np.eye(3), np.zeros(3)))
 
 
 def as_calibration(foreign: ForeignCalibration) -> Calibration:

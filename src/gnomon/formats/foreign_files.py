@@ -111,20 +111,16 @@ def _read_triads(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> 
 
 
 def _read(path: str | PathLike[str], text: str) -> ForeignCalibration:
+    notes: list[str] = []
     kinds: tuple[tuple[bool, Callable[[str | PathLike[str]], ForeignCalibration]], ...] = (
         (is_imu_tk(text), lambda file: _read_triads((file,), (text,))),
         (text.startswith("name,value,sigma,unit"), read_parameter_csv),
         (text.lstrip().startswith("{"), _read_json),
-        (is_kalibr_cam_results(text), _read_cam_results),
+        (is_kalibr_cam_results(text), lambda file: _cameras(read_cam_results(file, notes), notes)),
         (is_kalibr_results(text), read_kalibr_results),
         (is_flight_parameters(text), read_flight_parameters),
     )
     return next((read for told, read in kinds if told), _read_yaml)(path)
-
-
-def _read_cam_results(path: str | PathLike[str]) -> ForeignCalibration:
-    notes: list[str] = []
-    return _cameras(read_cam_results(path, notes), notes)
 
 
 def _read_json(path: str | PathLike[str]) -> ForeignCalibration:
@@ -155,11 +151,11 @@ def _read_yaml(path: str | PathLike[str]) -> ForeignCalibration:
         if told(root):
             return read(root, notes)
     parts: list[ForeignCalibration] = []
-    for prefix, flat, read in (("imu", "accelerometer_noise_density", _imus), ("cam", "camera_model", _chain)):
+    for prefix, flat, read in (("imu", "accelerometer_noise_density", imus_of), ("cam", "camera_model", _chain)):
         named = [key for key in keys if re.fullmatch(rf"{prefix}\d+", key)]
         if named or flat in keys:
             part = replace(root, value={key: root.value[key] for key in named}) if named else root
-            parts.append(read(part))
+            parts.append(read(part, []))
     if not parts:
         raise _unknown(path)
     others = [key for key in keys if not re.fullmatch(r"(cam|imu)\d+", key)]
@@ -169,12 +165,7 @@ def _read_yaml(path: str | PathLike[str]) -> ForeignCalibration:
     return replace(found, notes=(*notes, *found.notes))
 
 
-def _imus(root: Node) -> ForeignCalibration:
-    return imus_of(root, [])
-
-
-def _chain(root: Node) -> ForeignCalibration:
-    notes: list[str] = []
+def _chain(root: Node, notes: list[str]) -> ForeignCalibration:
     return _cameras(cameras_of(root, notes), notes)
 
 

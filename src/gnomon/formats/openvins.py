@@ -16,12 +16,11 @@ from ..models.noise import ImuNoise
 from ..models.project_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..recording import Floats
 from ..results.calibration import (
-    AccelerometerCalibration,
     Calibration,
     CameraCalibration,
-    GyroscopeCalibration,
     ImuCalibration,
 )
+from .foreign import imu_in_si
 from .kalibr.camchain import camera_chain
 from .shared.foreign_yaml import file_name, read_matrix, read_rotation
 from .shared.losses import (
@@ -73,10 +72,7 @@ def openvins_imu(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCali
     Tg = read_matrix(keys["Tg"], 3, 3) if "Tg" in keys else np.zeros((3, 3))
     gyroscope = OpenVinsGyroscope(T=_used(keys, "Tw", model, notes), R=turns["R_IMUtoGYRO"], b=zero, Tg=Tg)
     S_g, b_g, G = gyroscope.to_sensor()
-    return ImuCalibration(
-        accelerometer=AccelerometerCalibration(sensitivity=S_a, bias=b_a, unit="m/s^2"),
-        gyroscope=GyroscopeCalibration(sensitivity=S_g, bias=b_g, g_sensitivity=G, unit="rad/s"),
-    )
+    return imu_in_si((S_a, b_a), (S_g, b_g), G)
 
 
 def _used(keys: dict[str, Node], name: str, model: str, notes: list[str]) -> Floats:

@@ -123,11 +123,6 @@ def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
     return tuple(numbers)
 
 
-def _shown(block: Repeatability) -> tuple[float, str]:
-    factor, unit = shown_unit(block.kind, block.unit)
-    return factor, readable_unit(unit)
-
-
 def _summary(comparison: Comparison) -> Section:
     blocks: list[Block] = []
     if drawn_blocks(comparison):
@@ -194,7 +189,7 @@ def _biases(comparison: Comparison) -> Iterator[Section]:
 
 
 def _table(comparison: Comparison, block: Repeatability) -> ReportTable:
-    factor, unit = _shown(block)
+    factor, unit = shown_unit(block.kind, block.unit)
     scalars = list(zip(factor * block.values.T, factor * block.sigmas.T, strict=True))
     decimals = [_decimals(sigmas, values) for values, sigmas in scalars]
     columns = [_column(*scalar, digits) for scalar, digits in zip(scalars, decimals, strict=True)]
@@ -207,7 +202,7 @@ def _table(comparison: Comparison, block: Repeatability) -> ReportTable:
             rows.append((label, *cells))
     if len(block.names) == 2:
         rows += _difference_rows(comparison.difference(*block.names, block.path), factor, decimals)
-    of = f" [{unit}]" if unit not in {"", "1"} else ""
+    of = f" [{readable_unit(unit)}]" if unit not in {"", "1"} else ""
     caption = ""
     if block.reference is not None:
         w, x, y, z = quaternion_from_rotation(block.reference)

@@ -320,7 +320,7 @@ def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> R
         prior = number_text(p.prior_sigma, 2) if p.prior_sigma > 0 else MISSING
         status = f"{p.status}, ≤ σ" if weak else p.status
         start = p.start if abs(p.start) > 1e-9 * max(abs(p.value), p.sigma) else 0.0  # the rest of a rounding
-        rows.append((p.name, value, sigma or MISSING, number_text(start, 6), prior, _unit(p.unit), status))
+        rows.append((p.name, value, sigma or MISSING, number_text(start, 6), prior, readable_unit(p.unit), status))
     return ReportTable(
         "Estimate, start and sigma",
         ("parameter", "value", "σ", "start", "prior σ", "unit", "status"),
@@ -338,10 +338,6 @@ _WITH_IMU = (
     "carried into all others. Faint: fixed, or (≤ σ) an entry of the IMU no farther "
     "from an ideal sensor's than its σ, which Krebs takes for ideal."
 )
-
-
-def _unit(unit: str) -> str:
-    return readable_unit(unit).replace("sqrt(Hz)", "√Hz")
 
 
 _SHAPES = (".S_a", ".S_g", ".M_a", ".M_g", ".q_bg", ".B_g")
@@ -427,7 +423,7 @@ def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> li
 
 def _noise_row(level: NoiseLevel) -> tuple[str, ...]:
     sensor, _, what = level.name.partition(".")
-    unit = readable_unit(level.unit).replace("sqrt(Hz)", "√Hz")
+    unit = readable_unit(level.unit)
     return (f"{sensor} {what}", *(number_text(v, 3) for v in (level.nominal, level.estimated, level.used)), unit)
 
 

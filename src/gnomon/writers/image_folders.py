@@ -14,6 +14,7 @@ from av.error import FFmpegError
 
 from ..errors import OptionError, OutputError, RecordingError
 from ..formats.shared.yaml_text import yaml_lines
+from ..geometry.rotation_vector import inverse_pose
 from ..output import atomic_file, whole_folder
 from ..processes import results_ahead
 from ..progress import Progress, Step
@@ -135,7 +136,7 @@ def _camera_node(name: str, stream: ImageStream, stamps: list[int], notes: list[
         return {}
     node: dict[str, Any] = {"sensor_type": "camera"}
     if stream.T_cam_imu is not None:
-        node["T_BS"] = _matrix(_inverse(stream.T_cam_imu))
+        node["T_BS"] = _matrix(inverse_pose(stream.T_cam_imu))
     if len(stamps) > 1:
         node |= _rate(1e9 / float(np.median(np.diff(sorted(stamps)))))
     if camera is None:
@@ -149,13 +150,6 @@ def _camera_node(name: str, stream: ImageStream, stamps: list[int], notes: list[
     if len(camera.distortion_coeffs):
         node["distortion_coefficients"] = camera.distortion_coeffs
     return node | ({"line_delay": camera.line_delay_s} if camera.line_delay_s else {})
-
-
-def _inverse(T: Floats) -> Floats:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 def _matrix(T: Floats) -> dict[str, Any]:
