@@ -189,7 +189,7 @@ def device_facts(recording: Path, table: Mapping[str, CertificateFacts]) -> Cert
     FormatError
         If device.yaml cannot be read.
     """
-    from ...formats.own.options_file import read_options
+    from ...formats.own.dataclass_file import read_options
 
     stem = recording_stem(recording)
     named = table.get(recording.name) or table.get(stem)
