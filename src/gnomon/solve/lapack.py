@@ -38,6 +38,7 @@ dsyrk: Callable[..., Any] = _blas.dsyrk
 dtrsm: Callable[..., Any] = _blas.dtrsm
 dtrsv: Callable[..., Any] = _blas.dtrsv
 dpotrf: Callable[..., Any] = _lapack.dpotrf
+dpotrs: Callable[..., Any] = _lapack.dpotrs
 dtrtri: Callable[..., Any] = _lapack.dtrtri
 
 

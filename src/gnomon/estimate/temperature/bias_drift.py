@@ -19,12 +19,12 @@ from math import comb
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from ...frozen import value_class
 from ...recording import Floats
 from ...results.result import Booleans
+from ...solve.lapack import dpotrf, dpotrs
 from ..multiposition.bias_changes import RestMeans, functions_of_time, gyroscope_changes
 from ..multiposition.bias_functions import walk_density
 from ..trust.between_recordings import scaled_inverse
@@ -243,13 +243,13 @@ def _left_out_score(problem: DriftProblem, axis: int, order: int, variances: Dri
     total = 0.0
     for left_out in range(len(problem.warm_ups)):
         off, _, factor = _foretold(problem, left_out, axis, order, variances)
-        total += 2 * float(np.log(np.diag(factor[0])).sum()) + float(off @ cho_solve(factor, off))
+        total += 2 * float(np.log(np.diag(factor)).sum()) + float(off @ _solved(factor, off))
     return total
 
 
 def _foretold(
     problem: DriftProblem, left_out: int, axis: int, order: int, variances: DriftVariances
-) -> tuple[Floats, WarmUp, tuple[Floats, bool]]:
+) -> tuple[Floats, WarmUp, Floats]:
     """Return what a warm-up differs by from what the others foretell (n,), it, and the factor of the covariance."""
     one = problem.warm_ups[left_out]
     drift = fit_drift(problem.without(left_out), axis, order, variances)
@@ -324,8 +324,8 @@ def left_out_deviations(problem: DriftProblem, axis: int, order: int, variances:
         off, one, factor = _foretold(problem, left_out, axis, order, variances)
         trend = np.stack([np.ones(len(off)), one.degc - one.degc.mean()], axis=1)
         trend = trend[:, np.abs(trend).max(axis=0) > _STEADY_K]  # a temperature that never changes has none
-        information = trend.T @ cho_solve(factor, trend)
-        found = np.linalg.solve(information, trend.T @ cho_solve(factor, off))
+        information = trend.T @ _solved(factor, trend)
+        found = np.linalg.solve(information, trend.T @ _solved(factor, off))
         z[left_out] = float(np.sqrt(found @ information @ found / len(found)))
     return z
 
@@ -359,7 +359,7 @@ def _least_squares(pieces: Sequence[_Piece], variances: DriftVariances) -> tuple
     count = pieces[0].X.shape[1]
     normal, right = np.zeros((count, count)), np.zeros(count)
     for one in pieces:
-        weighted = cho_solve(_factor(one.covariance(variances)), np.column_stack([one.X, one.y]))
+        weighted = _solved(_factor(one.covariance(variances)), np.column_stack([one.X, one.y]))
         normal += one.X.T @ weighted[:, :-1]
         right += one.X.T @ weighted[:, -1]
     covariance = scaled_inverse(normal)
@@ -381,8 +381,17 @@ def _pieces(problem: DriftProblem, axis: int, order: int) -> list[_Piece]:
     return [_piece(problem, one, axis, order) for one in problem.warm_ups]
 
 
-def _factor(covariance: Floats) -> tuple[Floats, bool]:
-    return cho_factor(covariance, lower=True, check_finite=False, overwrite_a=True)
+def _factor(covariance: Floats) -> Floats:
+    """Return the factor (n, n) of a covariance, which it overwrites; what is above the diagonal is meaningless."""
+    factor, failed = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)  # .T: in the order that LAPACK takes
+    if failed:
+        raise np.linalg.LinAlgError(f"the covariance of {len(covariance)} bins is not positive definite")
+    return factor
+
+
+def _solved(factor: Floats, right: Floats) -> Floats:
+    """Return what the covariance of a factor takes to right (n,) or (n, q)."""
+    return dpotrs(factor, right, lower=1)[0]
 
 
 def _likelihood(pieces: Sequence[_Piece], variances: DriftVariances, *, restricted: bool = True) -> float:
@@ -395,10 +404,10 @@ def _likelihood(pieces: Sequence[_Piece], variances: DriftVariances, *, restrict
     for one in pieces:
         X = one.X / _SCALE_K ** np.arange(count)
         factor = _factor(one.covariance(variances))
-        weighted = cho_solve(factor, np.column_stack([X, one.y]), check_finite=False)
+        weighted = _solved(factor, np.column_stack([X, one.y]))
         normal += X.T @ weighted[:, :-1]
         right += X.T @ weighted[:, -1]
-        total += 2 * float(np.log(np.diagonal(factor[0])).sum()) + float(one.y @ weighted[:, -1])
+        total += 2 * float(np.log(np.diagonal(factor)).sum()) + float(one.y @ weighted[:, -1])
     sign, determinant = np.linalg.slogdet(normal)
     if sign <= 0:
         return float("inf")
