@@ -1,7 +1,9 @@
-"""Build wheel and sdist, look whether everything is in them, and calibrate with each alone; then try the extras.
+"""Build wheel and sdist, look whether everything is in them, and calibrate with the wheel alone; then try the extras.
 
-Run as `python .ci/packages.py [PYTHON]` where the group `dev` is installed; each gets an environment of its own, of
-PYTHON where that is named.
+What pip builds of the sdist has to be that wheel, file by file: to calibrate with it again would tell nothing.
+
+Run as `python .ci/packages.py [PYTHON]` where the group `dev` is installed; the wheel gets an environment of its own,
+of PYTHON where that is named.
 """
 
 import os
@@ -15,6 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = (sys.argv[1:] or [sys.executable])[0]
 EXTRAS = "[certificate,dask,fleet,serve,live,tls]"
+PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
 IN_SDIST = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "src/gnomon/py.typed")
 
 
@@ -52,9 +55,24 @@ def install(package: Path, place: Path, extras: str = "") -> Path:
     if not python.exists():
         run(PYTHON, "-m", "venv", "--without-pip", place)
     # With the pip that is here; what is imported is compiled then, a tenth of what is installed.
-    pip = (sys.executable, "-m", "pip", "--python", python)
-    run(*pip, "install", "--quiet", "--disable-pip-version-check", "--no-compile", f"{package}{extras}")
+    run(*PIP, "--python", python, "install", "--no-compile", f"{package}{extras}")
     return programs / "gnomon"
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    """Return the files of a wheel, but for what tells of its making, and for what a compiler made."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = [name for name in archive.namelist() if not name.endswith(("/RECORD", "/WHEEL"))]
+        return {name: b"" if "/compiled/" in name else archive.read(name) for name in names}
+
+
+def build_sdist(sdist: Path, wheel: Path, place: Path) -> None:
+    """Stop where what pip makes of the sdist, as for somebody who has no wheel, is not the wheel."""
+    run(*PIP, "wheel", "--no-deps", "--wheel-dir", place, sdist)
+    made, wanted = contents(next(place.glob("gnomon-*.whl"))), contents(wheel)
+    differ = {name for name in made.keys() | wanted.keys() if made.get(name) != wanted.get(name)}
+    assert not differ, f"pip makes something else of the sdist: {sorted(differ)}"
+    print("packages: pip makes the wheel of the sdist")
 
 
 def calibrate(gnomon: Path, place: Path) -> None:
@@ -85,6 +103,6 @@ with tempfile.TemporaryDirectory() as scratch:
     wheel, sdist = look_inside(folder)
     alone = install(wheel, folder / "venv")
     calibrate(alone, folder / "wheel")
-    calibrate(install(sdist, folder / "venv-of-sdist"), folder / "sdist")
+    build_sdist(sdist, wheel, folder / "of-sdist")
     install(wheel, folder / "venv", EXTRAS)
     use_extras(alone, folder / "wheel")
