@@ -104,6 +104,12 @@ def simulated():
     return gnomon.simulate(gnomon.Scenario(g_sensitivity=1e-4, intervals=30, t_init_s=20.0), seed=3)
 
 
+@pytest.fixture(scope="module")
+def flawless(simulated):
+    """The result of it."""
+    return gnomon.calibrate_imu(simulated[0], STATED)
+
+
 def with_samples(recording, change):
     """Return the recording after `change(name, t_ns, values) -> (t_ns, values)` of both triads."""
     imu = recording.imus["imu0"]
@@ -232,9 +238,8 @@ def test_few_rotations_are_coarse():
 # --- flaws that are worked around ----------------------------------------------------------------------------------
 
 
-def test_flawless_recording_is_true_within_its_sigmas(simulated):
-    recording, truth = simulated
-    calibration = calibrate(recording)
+def test_flawless_recording_is_true_within_its_sigmas(simulated, flawless):
+    calibration, truth = flawless.calibration, simulated[1]
     assert calibration.verdict == "pass"
     assert calibration.assessment.intervals_used == 30
     assert_true_within_sigmas(calibration, truth)
@@ -251,10 +256,10 @@ def test_touched_intervals_are_left_out(seed):
 
 @pytest.mark.parametrize("pressed", [(6,), (6, 15), (3, 11, 22)], ids=str)
 @pytest.mark.parametrize("push", [0.02, 0.1])
-def test_pressed_intervals_are_left_out_and_named(simulated, pressed, push):
+def test_pressed_intervals_are_left_out_and_named(simulated, flawless, pressed, push):
     # A steady push, to which the detector is blind, of 0.2 % and of 1 % of gravity.
     recording, truth = simulated
-    plain = gnomon.calibrate_imu(recording, STATED).diagnostics.intervals
+    plain = flawless.diagnostics.intervals
     t_s = recording.imus["imu0"].accelerometer.t_s
 
     def press(name, t, v):
@@ -272,10 +277,9 @@ def test_pressed_intervals_are_left_out_and_named(simulated, pressed, push):
     assert str(pressed[-1] + 1) in finding.message
 
 
-def test_gap_in_the_middle(simulated):
+def test_gap_in_the_middle(simulated, flawless):
     recording, truth = simulated
-    plain = gnomon.calibrate_imu(recording, STATED).diagnostics.rotations
-    start_s = plain.start_s[12] + 1.0  # in the middle of a rotation
+    start_s = flawless.diagnostics.rotations.start_s[12] + 1.0  # in the middle of a rotation
 
     def cut(name, t, v):
         seconds = (t - t[0]) * 1e-9
@@ -336,7 +340,7 @@ def test_lost_samples_and_rounded_stamps():
 # --- units and frames ----------------------------------------------------------------------------------------------
 
 
-def test_units_do_not_matter(simulated):
+def test_units_do_not_matter(simulated, flawless):
     recording, _ = simulated
     imu = recording.imus["imu0"]
     other = gnomon.Recording.from_arrays(
@@ -345,7 +349,7 @@ def test_units_do_not_matter(simulated):
         imu.accelerometer.values / 9.80665,
         units="g deg/s",
     )
-    si, mixed = calibrate(recording), calibrate(other)
+    si, mixed = flawless.calibration, calibrate(other)
     per_g, per_deg = 1 / 9.80665, 180 / np.pi
     units = {"accelerometer": per_g, "gyroscope": per_deg}
     for path, value in calibration_parameters(si.imus):
@@ -361,10 +365,8 @@ def test_units_do_not_matter(simulated):
     np.testing.assert_allclose(ours.gyroscope.values, theirs.gyroscope.values, atol=1e-7)
 
 
-def test_frames_of_a_result(simulated):
-    recording, _ = simulated
-    plain = calibrate(recording)
-    direct = calibrate(recording, frame="accel-z")
+def test_frames_of_a_result(simulated, flawless):
+    plain, direct = flawless.calibration, calibrate(simulated[0], frame="accel-z")
     assert direct.frame == "accel-z"
     back = direct.in_frame("accel-x")
     for path, value in calibration_parameters(plain.imus):
@@ -451,11 +453,17 @@ def test_frames_that_do_not_exist_are_refused(simulated, frame):
 # -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bad", [(4,), (4, 12), (2, 7, 12, 17, 22)], ids=str)
-def test_bad_rotations_do_not_hide_each_other(bad):
+@pytest.fixture(scope="module")
+def good_rotations():
+    """Return a recording, how it is calibrated, and the result."""
     recording, _ = gnomon.simulate(gnomon.Scenario(g_sensitivity=1e-4, intervals=30, t_init_s=20.0), seed=3)
     options = gnomon.ImuOptions(gravity=9.80665, model="g-sensitivity")
-    good = gnomon.calibrate_imu(recording, options)
+    return recording, options, gnomon.calibrate_imu(recording, options)
+
+
+@pytest.mark.parametrize("bad", [(4,), (4, 12), (2, 7, 12, 17, 22)], ids=str)
+def test_bad_rotations_do_not_hide_each_other(good_rotations, bad):
+    recording, options, good = good_rotations
     samples, rotations = recording.imus["imu0"], good.diagnostics.rotations
     t_s, values = samples.gyroscope.t_s, samples.gyroscope.values.copy()
     for k in bad:
@@ -468,18 +476,23 @@ def test_bad_rotations_do_not_hide_each_other(bad):
     assert found.calibration.sigma(sigma).max() < 1.5 * good.calibration.sigma(sigma).max()
 
 
-@pytest.mark.parametrize("apart_ns", [0, 10_000, 1_000_000])
-def test_stamps_in_packets_give_the_calibration_of_uniform_ones(apart_ns):
-    # Ten samples come together every tenth of a second, as over a serial port.
+@pytest.fixture(scope="module")
+def uniform():
+    """Return samples at uniform times, and their calibration."""
     recording, _ = gnomon.simulate(gnomon.Scenario(g_sensitivity=1e-4, intervals=20, t_init_s=20.0), seed=4)
-    samples, options = recording.imus["imu0"], gnomon.ImuOptions(gravity=9.80665)
+    return recording.imus["imu0"], calibrate(recording)
+
+
+@pytest.mark.parametrize("apart_ns", [0, 10_000, 1_000_000])
+def test_stamps_in_packets_give_the_calibration_of_uniform_ones(uniform, apart_ns):
+    # Ten samples come together every tenth of a second, as over a serial port.
+    samples, plain = uniform
     number = np.arange(len(samples.gyroscope))
     t_ns = (number // 10 + 1) * 100_000_000 + (number % 10) * apart_ns
     packets = gnomon.ImuSamples(
         accelerometer=replace(samples.accelerometer, t_ns=t_ns), gyroscope=replace(samples.gyroscope, t_ns=t_ns)
     )
-    plain = gnomon.calibrate_imu(recording, options).calibration
-    found = gnomon.calibrate_imu(gnomon.Recording(imus={"imu0": packets}), options).calibration
+    found = calibrate(gnomon.Recording(imus={"imu0": packets}))
     for name in ("imu0.accelerometer.sensitivity", "imu0.gyroscope.sensitivity"):
         difference = np.abs(found.parameter(name) - plain.parameter(name))
         assert (difference <= 0.2 * plain.sigma(name) + 1e-12).all()

@@ -27,6 +27,12 @@ def warm_ups(tmp_path_factory):
     return made, paths
 
 
+@pytest.fixture(scope="module")
+def by_one(warm_ups):
+    """The result of the first warm-up alone."""
+    return gnomon.calibrate_temperature(warm_ups[0].recordings[:1])
+
+
 @pytest.mark.long
 def test_the_command_finds_it_and_apply_takes_it_off(warm_ups, run, tmp_path):
     made, paths = warm_ups
@@ -50,11 +56,10 @@ def test_the_command_finds_it_and_apply_takes_it_off(warm_ups, run, tmp_path):
 
 
 @pytest.mark.long
-def test_apply_needs_a_temperature_and_tells_of_its_range(warm_ups, run, tmp_path):
+def test_apply_needs_a_temperature_and_tells_of_its_range(warm_ups, by_one, run, tmp_path):
     made, _ = warm_ups
-    result = gnomon.calibrate_temperature(made.recordings[:1])
     found = tmp_path / "calibration.yaml"
-    gnomon.save(result.calibration, found)
+    gnomon.save(by_one.calibration, found)
     imu = made.recordings[2].imus["imu0"]
     bare = tmp_path / "bare.npz"
     save_recording(gnomon.Recording(imus={"imu0": replace(imu, temperature=None)}), bare)
@@ -92,15 +97,14 @@ def test_what_was_wrong_with_the_calibration_stays_said(warm_ups):
 
 
 @pytest.mark.long
-def test_a_calibration_that_came_of_it_is_a_calibration_as_any(warm_ups):
+def test_a_calibration_that_came_of_it_is_a_calibration_as_any(warm_ups, by_one):
     made, _ = warm_ups
-    first = gnomon.calibrate_temperature(made.recordings[:1], reference_degc=30.0)
-    assert first.nominal
-    sensor = first.calibration.imus["imu0"]
+    assert by_one.nominal
+    sensor = by_one.calibration.imus["imu0"]
     bias = np.array([0.1, -0.2, 0.3])
     known = replace(sensor, gyroscope=replace(sensor.gyroscope, bias=bias), temperature=None)
     again = gnomon.calibrate_temperature(
-        made.recordings[1:2], replace(first.calibration, imus={"imu0": known}), reference_degc=30.0
+        made.recordings[1:2], replace(by_one.calibration, imus={"imu0": known}), reference_degc=30.0
     )
     assert not again.nominal
     assert np.array_equal(again.calibration.imus["imu0"].gyroscope.bias, bias)
@@ -116,14 +120,21 @@ def oven(tmp_path_factory):
     return made, paths
 
 
-@pytest.mark.long
-def test_scales_follow_the_temperature_of_three_turned_recordings(oven, run, tmp_path):
-    made, paths = oven
-    code, out, err = run("temperature", *paths, "-o", tmp_path / "found", "--json")
+@pytest.fixture(scope="module")
+def by_oven(oven, run, tmp_path_factory):
+    """The folder of the command's result by the turned recordings, and what it said as JSON."""
+    folder = tmp_path_factory.mktemp("by-oven") / "found"
+    code, out, err = run("temperature", *oven[1], "-o", folder, "--json")
     assert code == 0, err
-    document = json.loads(out)
+    return folder, json.loads(out)
+
+
+@pytest.mark.long
+def test_scales_follow_the_temperature_of_three_turned_recordings(oven, by_oven, run):
+    made, _ = oven
+    folder, document = by_oven
     assert document["orders"] == document["sensitivity_orders"] == {"gyroscope": 1, "accelerometer": 1}
-    known = gnomon.load(tmp_path / "found" / "calibration.yaml")
+    known = gnomon.load(folder / "calibration.yaml")
     found = known.imus["imu0"].temperature
     for part in ("accelerometer_sensitivity", "gyroscope_sensitivity"):
         sigma = known.sigma(f"imu0.temperature.{part}")
@@ -133,8 +144,8 @@ def test_scales_follow_the_temperature_of_three_turned_recordings(oven, run, tmp
         assert np.abs(z[free]).max() < 3.5
         assert not z[~free].any()
         assert np.all(sigma[0][free] < 3e-5)
-    assert "scale over the temperature" in (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
-    assert run("show", tmp_path / "found")[1].count("accelerometer_sensitivity1_") == 6
+    assert "scale over the temperature" in (folder / "report.html").read_text(encoding="utf-8")
+    assert run("show", folder)[1].count("accelerometer_sensitivity1_") == 6
 
 
 def test_scales_of_turned_recordings_are_those_of_the_stated_gravity(oven, run, tmp_path):
@@ -150,10 +161,9 @@ def test_scales_of_turned_recordings_are_those_of_the_stated_gravity(oven, run, 
 
 
 @pytest.mark.long
-def test_a_rate_at_another_temperature_is_right_after_apply(oven, run, tmp_path):
-    made, paths = oven
-    assert run("temperature", *paths, "-o", tmp_path / "found", "--no-report")[0] == 0
-    sensor = gnomon.load(tmp_path / "found" / "calibration.yaml").imus["imu0"]
+def test_a_rate_at_another_temperature_is_right_after_apply(oven, by_oven):
+    made, _ = oven
+    sensor = gnomon.load(by_oven[0]).imus["imu0"]
     assert made.sensor is not None
     true = replace(made.sensor, temperature=made.truth)
     for recording in (made.recordings[0], made.recordings[2]):
@@ -208,10 +218,10 @@ def test_warm_ups_and_turned_recordings_are_told_apart_and_joined(oven, warm_ups
 
 
 @pytest.mark.long
-def test_it_is_verified_and_compared_at_the_temperature_of_a_recording(oven, run, tmp_path):
-    made, paths = oven
-    assert run("temperature", *paths, "-o", tmp_path / "found", "--no-report")[0] == 0
-    known = gnomon.load(tmp_path / "found")
+def test_it_is_verified_and_compared_at_the_temperature_of_a_recording(oven, by_oven, run, tmp_path):
+    made, _ = oven
+    folder, _ = by_oven
+    known = gnomon.load(folder)
     # The same seed and range are the same sensor; the fourth of five is at 34 degC.
     fresh = simulate_temperature(replace(SCENARIO, turned=True, rate_hz=100.0, recordings=5), 12).recordings[3]
     assert gnomon.verify(known, fresh).state == "holds"
@@ -228,9 +238,9 @@ def test_it_is_verified_and_compared_at_the_temperature_of_a_recording(oven, run
     assert at_its_own.verdict != "fail"
     assert gnomon.compare(known, first, temperature_c=hot).verdict == "fail"
     gnomon.save(last, tmp_path / "a.yaml")
-    code, _, err = run("compare", tmp_path / "found", tmp_path / "a.yaml", "--temperature-c", hot, "--no-report")
+    code, _, err = run("compare", folder, tmp_path / "a.yaml", "--temperature-c", hot, "--no-report")
     assert code == 0, err
-    assert run("compare", tmp_path / "found", tmp_path / "a.yaml", "--temperature-c", 90, "--no-report")[0] == 2
+    assert run("compare", folder, tmp_path / "a.yaml", "--temperature-c", 90, "--no-report")[0] == 2
 
 
 def test_turned_recordings_at_one_temperature_are_refused(oven):
@@ -264,7 +274,7 @@ def test_what_tells_nothing_is_refused(warm_ups, change, says):
         gnomon.calibrate_temperature([change(made.recordings[0])])
 
 
-def test_samples_that_hide_what_a_warm_up_shall_tell_are_named(warm_ups):
+def test_samples_that_hide_what_a_warm_up_shall_tell_are_named(warm_ups, by_one):
     """The signals are looked at as those of every other recording."""
     made, _ = warm_ups
     imu = made.recordings[0].imus["imu0"]
@@ -273,8 +283,7 @@ def test_samples_that_hide_what_a_warm_up_shall_tell_are_named(warm_ups):
     spoilt = replace(imu, gyroscope=replace(imu.gyroscope, values=dead))
     found = gnomon.calibrate_temperature([gnomon.Recording(imus={"imu0": spoilt})])
     assert "dead-band" in {f.code for f in found.calibration.assessment.findings if f.severity == "warning"}
-    sound = gnomon.calibrate_temperature([made.recordings[0]])
-    assert "dead-band" not in {f.code for f in sound.calibration.assessment.findings}
+    assert "dead-band" not in {f.code for f in by_one.calibration.assessment.findings}
 
 
 def test_the_same_recording_twice_is_refused(warm_ups):
@@ -292,17 +301,12 @@ def test_simulated_warm_ups_are_read_by_the_command_that_they_propose(run, tmp_p
 
 
 @pytest.mark.long
-@pytest.mark.long
-def test_a_temperature_that_goes_one_way_is_told(warm_ups):
+def test_a_temperature_that_goes_one_way_is_told(by_one):
     """A drift from the start on looks the same; one recording that also cools down tells them apart."""
-    made, _ = warm_ups
-
-    def codes(recordings):
-        return {finding.code for finding in gnomon.calibrate_temperature(recordings).calibration.assessment.findings}
-
-    assert "temperature-one-way" in codes(made.recordings[:1])
     back = simulate_temperature(replace(SCENARIO, recordings=1, back=True), 11)
-    assert "temperature-one-way" not in codes(back.recordings)
+    both_ways = gnomon.calibrate_temperature(back.recordings)
+    told, untold = ({finding.code for finding in one.calibration.assessment.findings} for one in (by_one, both_ways))
+    assert "temperature-one-way" in told - untold
 
 
 @pytest.mark.long
