@@ -176,12 +176,16 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: Plane
         parameters, damping = found.parameters, _DAMPING
     radius = _radius(parameters, plane, np.hypot(*(seen - parameters[-2:]).T))
     fitted = _seen(parameters, plane, radius)
-    for _ in range(_ITERATIONS):
+
+    def damped_step(parameters: Floats, radius: Floats, fitted: Floats, damping: float) -> Floats:
         J = _jacobian(parameters, plane, radius)
         normal, slope = J @ J.T, J @ (seen - fitted).ravel()
         normal[-2:, -2:] += _AXIS * np.eye(2)
         slope[-2:] -= _AXIS * parameters[-2:]
-        step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), slope)
+        return np.asarray(np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), slope), np.float64)
+
+    for _ in range(_ITERATIONS):
+        step = damped_step(parameters, radius, fitted, damping)
         at = _radius(parameters + step, plane, radius)
         moved = _seen(parameters + step, plane, at)
         settled = np.abs(moved - fitted).max() < _SETTLED_PX / units.scale_px
