@@ -18,6 +18,7 @@ from ...models.lens_names import DistortionName, ProjectionName
 from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.samples import Booleans
 from ...solve.least_squares import levenberg_marquardt
 from ..camera_imu.start.board_poses import homography_poses, thin_exposures
 from ..camera_imu.terms.visual_terms import CornerNoise
@@ -90,22 +91,19 @@ def settle_poses(
             weights = _weights(corners, at)
             at = accumulate_normal_equations(corners, target, rig, layout, weights)
             pose, gradient, cost = at.pose, at.pose_gradient, at.cost
-        moves = -np.einsum("vij,vj->vi", inverse_poses(pose, damping), gradient)
-        turn = np.linalg.norm(moves[:, :3], axis=1, keepdims=True)
-        moves *= np.minimum(1.0, _MOST_TURN / np.maximum(turn, 1e-300))
+        moves = _moves(pose, gradient, damping)
         trial = layout.moved(rig, moves, np.empty(0))
         at = accumulate_normal_equations(corners, target, trial, layout, weights)
         better = active & (at.cost <= cost * (1 + 1e-12))
         gained = np.where(better, cost - at.cost, 0.0)
-        one, two = better[:, None], better[:, None, None]
         rig = replace(
             rig,
-            R_cam0_target=np.where(two, trial.R_cam0_target, rig.R_cam0_target),
-            p_cam0_target=np.where(one, trial.p_cam0_target, rig.p_cam0_target),
+            R_cam0_target=_either(better, trial.R_cam0_target, rig.R_cam0_target),
+            p_cam0_target=_either(better, trial.p_cam0_target, rig.p_cam0_target),
         )
-        pose, gradient = np.where(two, at.pose, pose), np.where(one, at.pose_gradient, gradient)
-        cost = np.where(better, at.cost, cost)
-        damping = np.where(better, np.maximum(0.1 * damping, 1e-9), np.maximum(10 * damping, 1e-3))
+        pose, gradient = _either(better, at.pose, pose), _either(better, at.pose_gradient, gradient)
+        cost = _either(better, at.cost, cost)
+        damping = _either(better, np.maximum(0.1 * damping, 1e-9), np.maximum(10 * damping, 1e-3))
         if step <= max(_WEIGHED):
             continue
         moving = active & ~(better & (gained <= _AT_REST * cost))
@@ -114,6 +112,18 @@ def settle_poses(
         if moving.sum() < _FEWER * active.sum():
             active, corners = moving, [seen.only(moving[seen.view]) for seen in corners]
     return rig, cost
+
+
+def _moves(pose: Floats, gradient: Floats, damping: Floats) -> Floats:
+    """Return damped steps (v, 6) of the poses, none of which turns by too much at once."""
+    moves = -np.einsum("vij,vj->vi", inverse_poses(pose, damping), gradient)
+    turn = np.linalg.norm(moves[:, :3], axis=1, keepdims=True)
+    return moves * np.minimum(1.0, _MOST_TURN / np.maximum(turn, 1e-300))
+
+
+def _either(better: Booleans, one: Floats, other: Floats) -> Floats:
+    """Return the one (v, ...) of the views (v,) for which it is better, and the other of the others."""
+    return np.where(better.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
 
 def _weights(corners: Sequence[CameraCorners], at: ViewNormalEquations) -> dict[str, CornerNoise]:
