@@ -251,18 +251,21 @@ def _explained(camera: Floats, gyro: Floats, change: Floats) -> tuple[Floats, Fl
 
     It is a full matrix, so that scales and axes of the gyroscope need not be known, and a bias.
     """
-    weight = np.ones(len(gyro))
     base = np.concatenate([camera, np.ones((len(camera), 1))], axis=1)
-    shift = 0.0
-    matrix: Floats = np.zeros((4, 3))
-    for _ in range(_ROUNDS):
+
+    def fitted(weight: Floats, shift: float) -> tuple[Floats, Floats, float]:
         wanted = weight[:, None] * (gyro + shift * change)
         matrix = np.asarray(np.linalg.lstsq(weight[:, None] * base, wanted, rcond=None)[0], dtype=np.float64)
         rest = gyro + shift * change - base @ matrix
         used = weight > 0
-        shift -= float((change[used] * rest[used]).sum() / max(float((change[used] ** 2).sum()), 1e-30))
+        late = float((change[used] * rest[used]).sum() / max(float((change[used] ** 2).sum()), 1e-30))
         error = np.linalg.norm(rest, axis=1)
-        weight = (error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-6).astype(np.float64)
+        within = error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-6
+        return matrix, within.astype(np.float64), shift - late
+
+    matrix, weight, shift = np.zeros((4, 3)), np.ones(len(gyro)), 0.0
+    for _ in range(_ROUNDS):
+        matrix, weight, shift = fitted(weight, shift)
     return matrix, weight
 
 
