@@ -232,7 +232,7 @@ def dead_bands(values: Floats) -> tuple[Floats, Integers]:
     found, places = np.full(3, np.nan), np.zeros(3, np.int64)
     for axis, column in enumerate(np.ascontiguousarray(values.T)):
         new = np.concatenate([[True], column[1:] != column[:-1]])[: len(column)]
-        repeated = column[~new]
+        places_of, repeated = column[new], column[~new]
         if not len(repeated):
             continue
         usual, count = np.unique(repeated[:: 1 + len(repeated) // _SAMPLES], return_counts=True)
@@ -241,7 +241,7 @@ def dead_bands(values: Floats) -> tuple[Floats, Integers]:
         if not column.min() < usual[most] < column.max():
             continue
         near = usual[max(most - _BESIDE, 0) : most + _BESIDE + 1]
-        counts = [int(np.count_nonzero(column[new] == value)) for value in near]
+        counts = [int(np.count_nonzero(places_of == value)) for value in near]
         own = counts.pop(min(most, _BESIDE))
         if own > _BAND_PLACES + _BAND_TIMES * max(counts, default=0):
             places[axis] = own

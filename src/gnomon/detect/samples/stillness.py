@@ -226,14 +226,7 @@ def _inside(first: Integers, last: Integers) -> Integers:
 
 def _medians(values: Floats, first: Integers, last: Integers) -> Floats:
     """Return the medians of some stretches of values (n, 3), in order and apart, (m, 3)."""
-    found, length = np.empty((len(first), 3)), last - first
-    number = np.repeat(np.arange(len(first)), length)
-    start, inside = np.cumsum(length) - length, _inside(first, last)
-    for axis in range(3):
-        ordered = values[inside, axis]
-        ordered = ordered[np.lexsort((ordered, number))]
-        found[:, axis] = 0.5 * (ordered[start + (length - 1) // 2] + ordered[start + length // 2])
-    return found
+    return np.array([median_of(values[a:b], axis=0) for a, b in zip(first, last, strict=True)]).reshape(-1, 3)
 
 
 def _levels(means: Floats, first: Integers, last: Integers) -> Floats:

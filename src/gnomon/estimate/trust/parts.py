@@ -277,19 +277,22 @@ def part_differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits:
     wider : by how much the variances of the scalars are larger than for independent errors
     splits : ways to cut the clusters
     """
-    pairs = [pair for split in splits for pair in _pairs(sums, jacobian, split)]
-    arms = np.concatenate([pair[2] for pair in pairs])  # (d, c, p): what a pull of each cluster moves
+    # Clusters that every split has in the same part are moved alike: their sums are enough.
+    beside = np.ravel_multi_index([split.part for split in splits], [int(split.part.max()) + 1 for split in splits])
+    _, first, which = np.unique(beside, return_index=True, return_inverse=True)
+    alike = (which == np.arange(len(first))[:, None]).astype(np.float64)
+    information, sizes_of = (np.tensordot(alike, one, 1) for one in (sums.information, np.abs(sums.information)))
+    pairs = [pair for split in splits for pair in _pairs(sums, jacobian, split, first)]
+    arms = np.concatenate([pair[2] for pair in pairs])  # (d, c, p): what a pull of each group moves
     prior = np.concatenate([pair[3] for pair in pairs])  # (d, p): what that of the prior moves
     flat = arms.reshape(len(arms), arms.shape[1] * arms.shape[2])
-    by_errors = (arms.swapaxes(0, 1) @ sums.information).swapaxes(0, 1).reshape(flat.shape) @ flat.T
+    by_errors = (arms.swapaxes(0, 1) @ information).swapaxes(0, 1).reshape(flat.shape) @ flat.T
     by_prior = prior @ sums.prior_information @ prior.T
     scalar = np.concatenate([pair[0] for pair in pairs])
     where = [pair[4] for pair in pairs for _ in pair[0]]
     own, assumed = np.diag(by_errors), np.diag(by_prior)
     sizes = np.abs(arms)
-    rounding = np.finfo(np.float64).eps * np.sum(
-        (sizes.swapaxes(0, 1) @ np.abs(sums.information)).swapaxes(0, 1) * sizes, axis=(1, 2)
-    )
+    rounding = np.finfo(np.float64).eps * np.sum((sizes.swapaxes(0, 1) @ sizes_of).swapaxes(0, 1) * sizes, axis=(1, 2))
     ordinary = np.sqrt(np.maximum(own + assumed, 0.0))
     # What nothing moves is held by the model; and a part that determines nothing has sums of rounding errors.
     told = (own > _ROUNDING_ERRORS * rounding) & (assumed <= _MOST_PRIOR * ordinary**2)
@@ -305,11 +308,13 @@ def part_differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits:
     )
 
 
-def _pairs(sums: ClusterSums, jacobian: Floats, split: Split) -> list[tuple[Integers, Floats, Floats, Floats, str]]:
-    """Return of each pair of parts the scalars, differences, and how pulls of clusters and of the prior move them."""
+def _pairs(
+    sums: ClusterSums, jacobian: Floats, split: Split, shown: Integers
+) -> list[tuple[Integers, Floats, Floats, Floats, str]]:
+    """Return of pairs of parts the scalars, differences, and how pulls of clusters and of the prior move them."""
     steps, inverses = part_estimates(sums, split.part)
     rows = np.flatnonzero(split.counts)
-    of_part = split.part[:, None] == np.arange(len(steps))
+    of_part = split.part[shown, None] == np.arange(len(steps))
     gains = jacobian[rows] @ inverses
     found: list[tuple[Integers, Floats, Floats, Floats, str]] = []
     for i, j in combinations(range(len(steps)), 2):
