@@ -36,8 +36,8 @@ FORMATS = {
     "ros2": "ros2.export",
     "imucal": "imucal.export",
     "c-header": "c_header.export",
-    "json": "own.calibration_json.export",
-    "csv": "own.parameter_csv.export",
+    "json": "own.other_forms.export_json",
+    "csv": "own.other_forms.export_csv",
 }
 """Name of a format -> the function here that makes it, by its module."""
 

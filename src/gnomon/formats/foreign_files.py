@@ -25,7 +25,7 @@ from .okvis import is_okvis, okvis_of
 from .orb_slam3 import is_orb_slam3, orb_slam3_of
 from .own.calibration_file import load
 from .own.calibration_text import is_noise, is_own
-from .own.parameter_csv import read_parameter_csv
+from .own.other_forms import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
 from .shared.foreign_yaml import read_foreign_yaml
 from .shared.structured import Node, read_json, read_structured_text

@@ -16,7 +16,7 @@ from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.imu_tk import read_imu_tk
 from gnomon.formats.imucal import read_imucal
-from gnomon.formats.own.parameter_csv import read_parameter_csv
+from gnomon.formats.own.other_forms import read_parameter_csv
 from gnomon.recording import Recording
 from gnomon.results.calibration import ImuCalibration
 from kalibr_imus import read_kalibr

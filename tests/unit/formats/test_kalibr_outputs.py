@@ -361,7 +361,7 @@ def test_formats_without_cameras_say_so(camera_calibration, random_calibration, 
 
 
 def test_csv_lists_the_cameras(camera_calibration, tmp_path):
-    from gnomon.formats.own.parameter_csv import read_parameter_csv
+    from gnomon.formats.own.other_forms import read_parameter_csv
 
     calibration = camera_calibration(4, cameras=3)
     gnomon.convert(calibration, "csv", tmp_path)
