@@ -13,7 +13,7 @@ from ..errors import OptionError, RecordingError
 from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..recording.samples import dataframe_text, is_dataframe
-from ..units import Units
+from ..units import Units, stated_units
 from .devices.device_log import is_device_log
 from .files import (
     FEWEST_FILES,
@@ -154,7 +154,7 @@ def _stated(units: str | Units | None, rate_hz: float | None) -> Units:
     """Return the units as stated, and check the rate."""
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
-    return Units() if units is None else Units.parse(units) if isinstance(units, str) else units
+    return stated_units(units)
 
 
 def read_recognising(
@@ -417,7 +417,7 @@ def _are_recordings(paths: list[Path], columns: str | None, rate_hz: float | Non
         return True
     if all(first_bytes(path).startswith(NPZ_MAGIC) for path in paths):
         return True
-    stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
+    stated = stated_units(units)
     try:
         tables = [read_table(read_text_file(path), columns, rate_hz, stated) for path in paths]
     except RecordingError:

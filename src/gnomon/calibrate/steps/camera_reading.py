@@ -39,7 +39,7 @@ from ...readers.samples.npz import refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Recording, Source
 from ...recording.frames import ImageStream
 from ...recording.recording import ImageRecording
-from ...units import Units
+from ...units import Units, stated_units
 from .board_corners import BoardCorners, CameraImages, detect_corners
 
 DETECTORS = 6
@@ -254,7 +254,7 @@ def read_camera_views(
     OptionError
         If an option does not fit, or the size of the images is needed and not known.
     """
-    log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units(), cameras_alone=True)
+    log = ReadLog(units=stated_units(units), cameras_alone=True)
     board = read_target(target, log.notes)
     log.sources.extend(file_source(Path(file)) for file in (cam, target) if file is not None)
     stated = {} if cam is None else _lenses(read_cameras(cam, log.notes), resolution, Path(cam))

@@ -18,7 +18,7 @@ from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array
 from ...recording.frames import ImageStream
 from ...recording.recording import ImageRecording
-from ...units import Units
+from ...units import Units, stated_units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
@@ -129,7 +129,7 @@ def open_images(
         If `units` names no unit, or topics are stated for something that is no bag.
     """
     place = Path(path)
-    stated = Units.parse(units) if isinstance(units, str) else units or Units()
+    stated = stated_units(units)
     log = ReadLog(units=stated, cameras_alone=cameras_alone)
     table = None if imu_table is None else Path(imu_table)
     try:

@@ -17,7 +17,7 @@ from ...formats.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imu
 from ...frozen import value_class
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Integers, Recording, Source
-from ...units import Units
+from ...units import Units, stated_units
 from ..files import file_source
 from ..recordings import ReadLog
 from .corner_table import CornerTable, read_corner_table, read_frame_stamps
@@ -52,7 +52,7 @@ def read_corner_stamps(path: str | PathLike[str], units: str | Units | None = No
     OptionError
         If `units` names no unit.
     """
-    stated = Units.parse(units) if isinstance(units, str) else units or Units()
+    stated = stated_units(units)
     folder = recording_folder(Path(path))
     notes: list[str] = []
     sources: list[Source] = []
@@ -282,7 +282,7 @@ def read_corner_recording(
     OptionError
         If `units` names no unit.
     """
-    log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units())
+    log = ReadLog(units=stated_units(units))
     board = read_target(target, log.notes)
     known = read_cameras(cam, log.notes)
     noise, stated = read_imus(imu, log.notes), imu_paths(imu)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import OptionError, RecordingError
 from ...recording import ImuSamples, Recording, TriadSamples
-from ...units import Units
+from ...units import Units, stated_units
 from ..files import (
     NPZ_MAGIC,
     accelerometer_and_gyroscope,
@@ -90,7 +90,7 @@ def _gyroscope_alone(
     """Return the recording of a table that holds a gyroscope and no accelerometer; None of any other file."""
     if first_bytes(path).startswith(NPZ_MAGIC):
         return None
-    stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
+    stated = stated_units(units)
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"sample rate {rate_hz:g} Hz must be greater than zero.")
     text = read_text_file(path)
