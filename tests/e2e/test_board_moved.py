@@ -13,7 +13,7 @@ from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.results.camera_diagnostics import SignalFit
-from gnomon.simulate.camera_imu_frames import View
+from gnomon.simulate.camera_imu_streams import View
 from support.healthy import healthy_rig
 
 MOVED_AT_S = 9.0

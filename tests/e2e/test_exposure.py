@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_truth import errors
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.simulate.camera_imu_frames import View
+from gnomon.simulate.camera_imu_streams import View
 
 SCENARIO = CameraImuScenario(
     duration_s=15.0, motion="shaky", camera_rate_hz=15.0, target_cols=4, target_rows=4, random_extrinsics=True

@@ -9,7 +9,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.target import Target
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, Floats, TriadSamples
-from gnomon.simulate.camera_imu_frames import View
+from gnomon.simulate.camera_imu_streams import View
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 
 from .fault_recordings import (

@@ -65,7 +65,7 @@ from ..results.calibration import (
     covariance_names,
 )
 from ..results.result import Booleans
-from ..simulate.camera_imu_frames import START_NS
+from ..simulate.camera_imu_streams import START_NS
 from ..simulate.planned import CameraImuPlan, PlannedRecording, PlannedRig, planned_recording
 from ..simulate.sensor import changed_options
 from ..solve.least_squares import solve_arrow

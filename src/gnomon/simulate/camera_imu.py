@@ -11,7 +11,6 @@ from ..models.frames import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
 from ..results.calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration
-from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
 from .camera_imu_path import CameraPath, drawn_path
 from .camera_imu_rig import (
     corner_offsets,
@@ -22,7 +21,16 @@ from .camera_imu_rig import (
     place_imu,
     stated_lens,
 )
-from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
+from .camera_imu_streams import (
+    CameraTruth,
+    FrameStreams,
+    ImuStreams,
+    SimulatedImu,
+    TrueTrajectory,
+    View,
+    simulated_frames,
+    simulated_imu,
+)
 from .scenarios.camera_imu import CameraImuScenario
 from .sensor import true_calibration
 from .walk import path_of_walk

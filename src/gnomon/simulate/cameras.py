@@ -16,8 +16,8 @@ from ..models.target import Target
 from ..recording import CameraFrames, Floats, Integers, Recording
 from ..results.calibration import Assessment, Calibration, CameraCalibration, CamerasFit
 from ..units import STANDARD_GRAVITY_M_S2
-from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
+from .camera_imu_streams import BORDER_PX, START_NS
 from .scenarios.cameras import CamerasScenario
 from .sensor import true_calibration
 

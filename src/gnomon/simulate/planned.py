@@ -12,9 +12,9 @@ from ..models.target import Target
 from ..options import check_ranges
 from ..recording import CameraFrames, Floats
 from ..results.calibration import CameraCalibration
-from .camera_imu_frames import START_NS, View
 from .camera_imu_path import CameraPath, RigidMotion, drawn_path
 from .camera_imu_rig import drawn_cameras, gravity_target, nominal_extrinsics
+from .camera_imu_streams import START_NS, View
 from .scenarios.camera_imu import CameraImuScenario, HandMotionName
 from .scenarios.recorded import Scenario
 from .trajectory import hand_motions

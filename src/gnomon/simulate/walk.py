@@ -12,7 +12,7 @@ from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers
 from .camera_imu_path import COORDINATES, CameraPath
 from .camera_imu_rig import ImuTruth
-from .camera_imu_samples import ImuStreams, TrueTrajectory, simulated_imu
+from .camera_imu_streams import ImuStreams, TrueTrajectory, simulated_imu
 from .scenarios.camera_imu import CameraImuScenario
 
 

@@ -23,8 +23,19 @@ from .angrisano_trial import (
     scan_basins,
     trace_journeys,
 )
-from .runs import HERE, Progress, Workers, carry_out, run_seeds
-from .tables import Cell, Claim, StudyTable, claims_table, ratio_agrees, sigmas_claim
+from .runs import (
+    HERE,
+    Cell,
+    Claim,
+    Progress,
+    StudyTable,
+    Workers,
+    carry_out,
+    claims_table,
+    ratio_agrees,
+    run_seeds,
+    sigmas_claim,
+)
 
 NAMES = ("angle x", "angle y", "angle z", "bias x", "bias y", "bias z", "scale x", "scale y", "scale z")
 UNITS = ("rad", "rad", "rad", "count", "count", "count", "m/s^2 per count", "m/s^2 per count", "m/s^2 per count")

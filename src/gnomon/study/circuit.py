@@ -28,8 +28,7 @@ from .circuit_walk import (
     walk_circuit,
     walk_with_parts_off,
 )
-from .runs import HERE, Progress, Workers, carry_out, run_seeds
-from .tables import Claim, StudyTable, claims_table
+from .runs import HERE, Claim, Progress, StudyTable, Workers, carry_out, claims_table, run_seeds
 
 SIZES = ("one sigma", "probe", "data sheet")
 """Of an error of one quantity: of the full calibration; small, but more than noise; evenly within the tolerance."""

@@ -23,8 +23,8 @@ from ..options.requirements import BETWEEN_RECORDINGS, USES
 from ..recording import CameraFrames, Floats
 from ..results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
-from ..simulate.camera_imu_frames import FrameStreams, View, simulated_frames
 from ..simulate.camera_imu_rig import THESIS_NOISE, ImuTruth
+from ..simulate.camera_imu_streams import FrameStreams, View, simulated_frames
 from ..simulate.imu import simulate_imu
 from ..simulate.scenarios.camera_imu import CameraImuScenario
 from ..simulate.scenarios.recorded import Scenario

@@ -7,7 +7,7 @@ import numpy as np
 from ..recording import Floats
 from .krebs import KrebsSample, KrebsStudy, group_mean, krebs_group_rms, scatter_reduction
 from .krebs_run import CHANGES, GROUPS, NAMES, UNITS, group_columns, stated_mean, stated_sigma
-from .tables import Cell, Claim, StudyTable, claims_table, ratio_agrees, sigmas_claim
+from .runs import Cell, Claim, StudyTable, claims_table, ratio_agrees, sigmas_claim
 
 _CHANCE = 1e-3
 """That a claim about many means fails although it holds."""

@@ -15,8 +15,7 @@ from ..options import ImuOptions
 from ..recording import Floats
 from ..results.sensor_diagnostics import ImuDiagnostics
 from ..simulate.imu import simulate_imu
-from .runs import HERE, Progress, Workers, carry_out, run_seeds
-from .tables import Cell, Claim, StudyTable, claims_table, sigmas_claim
+from .runs import HERE, Cell, Claim, Progress, StudyTable, Workers, carry_out, claims_table, run_seeds, sigmas_claim
 from .tedaldi_trial import (
     METHODS,
     SCENARIO,

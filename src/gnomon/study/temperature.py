@@ -16,8 +16,7 @@ from ..recording.thermometer import temperature_course
 from ..results.temperature import TemperatureResult
 from ..simulate.scenarios.recorded import TemperatureScenario
 from ..simulate.temperature import TemperatureSimulation, simulate_temperature
-from .runs import HERE, Progress, Workers, carry_out, run_seeds
-from .tables import Claim, StudyTable, claims_table
+from .runs import HERE, Claim, Progress, StudyTable, Workers, carry_out, claims_table, run_seeds
 
 METHODS = ("gnomon", "PX4", "ArduPilot")
 """PX4: a cubic by least squares through all samples, with the temperature as read (process_sensor_caldata.py, by its

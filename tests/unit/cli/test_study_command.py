@@ -15,8 +15,7 @@ from gnomon.progress import Step
 from gnomon.report.page import KeyNumber, render_page
 from gnomon.report.studies import study_page
 from gnomon.study.journal import JOURNAL
-from gnomon.study.runs import carry_out, run_seeds, scatter_bounds
-from gnomon.study.tables import Claim, StudyTable, claims_table, ratio_agrees
+from gnomon.study.runs import Claim, StudyTable, carry_out, claims_table, ratio_agrees, run_seeds, scatter_bounds
 from study_work import Task, drawn
 
 

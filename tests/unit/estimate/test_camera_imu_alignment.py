@@ -15,7 +15,7 @@ from gnomon.estimate.camera_imu.terms.visual_terms import CornerSums, frame_scat
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames
-from gnomon.simulate.camera_imu_frames import START_NS
+from gnomon.simulate.camera_imu_streams import START_NS
 
 SCENARIO = CameraImuScenario(duration_s=12.0, target_cols=4, target_rows=4)
 

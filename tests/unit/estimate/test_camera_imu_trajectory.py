@@ -12,7 +12,7 @@ from gnomon.estimate.camera_imu.start.first_guess import ImuPath, imu_path, init
 from gnomon.estimate.camera_imu.terms.inertial_terms import knots_per_s, motion_limit_hz, power_spectrum
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.simulate.camera_imu_frames import START_NS
+from gnomon.simulate.camera_imu_streams import START_NS
 
 ORDERS = [4, 5, 6]
 

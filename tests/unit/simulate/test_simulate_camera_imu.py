@@ -9,7 +9,7 @@ import pytest
 
 from gnomon import CameraImuScenario, OptionError, simulate_camera_imu
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.simulate.camera_imu_frames import START_NS
+from gnomon.simulate.camera_imu_streams import START_NS
 
 SHORT = CameraImuScenario(duration_s=6.0)
 EXACT = replace(SHORT, noise_factor=0.0, pixel_noise_px=0.0)

@@ -9,7 +9,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_ro
 from gnomon.report.page import render_page
 from gnomon.report.studies.circuit import circuit_page
 from gnomon.simulate.walk import WalkScenario
-from gnomon.study import circuit_rig, circuit_walk
+from gnomon.study import circuit_walk
 from gnomon.study.circuit import PROBES, CircuitStudy, circuit_claims, circuit_tables
 from gnomon.study.circuit_walk import (
     LEVELS,
@@ -129,8 +129,8 @@ def test_a_walk_with_a_part_off_goes_astray(monkeypatch):
 
 @pytest.mark.long
 def test_each_calibration_knows_more_of_a_rig(monkeypatch):
-    coarse = replace(circuit_rig.RECORDING, imu_rate_hz=100.0, camera_rate_hz=10.0)
-    monkeypatch.setattr(circuit_rig, "RECORDING", coarse)
+    coarse = replace(circuit_walk.RECORDING, imu_rate_hz=100.0, camera_rate_hz=10.0)
+    monkeypatch.setattr(circuit_walk, "RECORDING", coarse)
     found = calibrated_rig(3)
     assert set(found.levels) == set(LEVELS)
     off = {

@@ -19,8 +19,7 @@ from ..terminal import Terminal
 if TYPE_CHECKING:
     from ...report.page import ReportPage
     from ...study.journal import FileJournal
-    from ...study.runs import Progress, Workers
-    from ...study.tables import Claim, StudyTable
+    from ...study.runs import Claim, Progress, StudyTable, Workers
 
 
 class Found(Protocol):

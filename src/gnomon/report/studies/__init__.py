@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ..._version import __version__
-from ...study.tables import Claim
+from ...study.runs import Claim
 from ..page import KeyNumber, ReportPage, ReportTable, Section
 
 _WORDS = {True: "yes", False: "no", None: "too few runs"}
