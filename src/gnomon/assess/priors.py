@@ -54,12 +54,16 @@ class Stated(Protocol):
         ...
 
 
-_MATRIX = tuple(f"[{i},{j}]" for i in range(3) for j in range(3))
-NAMES = tuple(
-    f"imu0.{triad}.{parameter}{at}"
-    for triad, last in (("accelerometer", ()), ("gyroscope", _MATRIX), ("magnetometer", ()))
-    for parameter, places in (("sensitivity", _MATRIX), ("bias", ("[0]", "[1]", "[2]")), ("g_sensitivity", last))
-    for at in places
+_MATRIX = ("[0,0]", "[0,1]", "[0,2]", "[1,0]", "[1,1]", "[1,2]", "[2,0]", "[2,1]", "[2,2]")
+_VECTOR = ("[0]", "[1]", "[2]")
+NAMES = (
+    *map("imu0.accelerometer.sensitivity{}".format, _MATRIX),
+    *map("imu0.accelerometer.bias{}".format, _VECTOR),
+    *map("imu0.gyroscope.sensitivity{}".format, _MATRIX),
+    *map("imu0.gyroscope.bias{}".format, _VECTOR),
+    *map("imu0.gyroscope.g_sensitivity{}".format, _MATRIX),
+    *map("imu0.magnetometer.sensitivity{}".format, _MATRIX),
+    *map("imu0.magnetometer.bias{}".format, _VECTOR),
 )
 """The 45 scalars of an IMU with a magnetometer, as `parameters.parameters` orders them."""
 

@@ -348,7 +348,8 @@ def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
 
 
 _UNIT_FACTOR = 1.5
-ATTITUDES = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+_SIGNS = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
+ATTITUDES = _SIGNS[_SIGNS.any(axis=1)]
 """Axes that point up, or down, or halfway, (26, 3)."""
 
 
