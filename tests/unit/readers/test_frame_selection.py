@@ -7,7 +7,7 @@ import pytest
 
 from gnomon import CameraFrames, FrameSelection, OptionError, Recording, RecordingError
 from gnomon.models.camera import Camera
-from gnomon.readers.images.frame_selection import select_frames, select_images
+from gnomon.readers.images.frame_stamps import select_frames, select_images
 from gnomon.recording.frames import Arrivals, Frame, FrameQuality, ImageStream
 from gnomon.recording.recording import ImageRecording
 

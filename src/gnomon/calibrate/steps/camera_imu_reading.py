@@ -21,7 +21,7 @@ from ...formats.sensor_inputs import ImuFiles, imu_paths, made_from, read_camera
 from ...models.target import Target
 from ...options import FrameSelection
 from ...readers.files import file_source
-from ...readers.images.frame_selection import select_frames, select_images
+from ...readers.images.frame_stamps import select_frames, select_images
 from ...readers.images.image_recording import open_images
 from ...readers.rig.corner_frames import read_corner_recording
 from ...readers.rig.streams import holds_corners, recording_folder, with_stated
