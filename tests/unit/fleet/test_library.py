@@ -18,8 +18,8 @@ import pytest
 
 from fleet_line import NAMES, device
 from gnomon.errors import FormatError, OptionError
-from gnomon.fleet import entries as schema
 from gnomon.fleet import library as library_module
+from gnomon.fleet import schema
 from gnomon.fleet.entries import LibraryEntry, export_table
 from gnomon.fleet.library import Library
 from gnomon.results.temperature_dependence import TemperatureDependence
