@@ -13,7 +13,6 @@ from ..assess.imu.magnetometer_verdict import FieldFitSummary, assess_field, des
 from ..assess.imu.temperature import check_temperature
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..detect.samples.faults import repair_samples, saturated_samples
-from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
 from ..estimate.triads.attitudes import DipFit, GravityFit, fit_dip, fit_gravity, force_at, in_body_frame
 from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise, usual_distance
@@ -33,6 +32,7 @@ from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
 from ..progress import Progress
 from ..recording import Floats, Recording, TemperatureSamples, TriadSamples
+from ..recording.samples import time_base
 from ..results.calibration import (
     AccelerometerCalibration,
     Calibration,

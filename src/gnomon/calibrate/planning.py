@@ -25,7 +25,7 @@ from ..formats.kalibr.target import read_target
 from ..formats.sensor_inputs import read_cameras, read_imus
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.noise import ImuNoise, consumer_mems
 from ..models.target import Target
 from ..options import ImuOptions
 from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
@@ -206,7 +206,7 @@ def read_hardware(
             )
             for name, found in read_cameras(cam).items()
         }
-    noise, rate_hz, others = CONSUMER_MEMS, None, ()
+    noise, rate_hz, others = consumer_mems(), None, ()
     if imu is not None:
         imus = read_imus(imu)
         first, *others = imus

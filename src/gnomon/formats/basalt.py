@@ -16,7 +16,7 @@ from ..geometry.quaternion import quaternion_from_rotation
 from ..geometry.rotation_vector import inverse_pose
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName, ProjectionName
-from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.noise import ImuNoise, consumer_mems
 from ..models.project_forms import BasaltTriad
 from ..recording import Floats
 from ..results.calibration import (
@@ -256,7 +256,7 @@ def basalt_text(calibration: Calibration, stated: StatedImu | None = None, remar
     imu = next(iter(calibration.imus.values()))
     accelerometer, gyroscope = _triads(imu)
     stated = stated or StatedImu()
-    noise, rate_hz = stated.noise or CONSUMER_MEMS, stated.update_rate_hz or _RATE_HZ
+    noise, rate_hz = stated.noise or consumer_mems(), stated.update_rate_hz or _RATE_HZ
     cameras = list(calibration.cameras.values())
     shift = cameras[0].time_shift_cam_imu if cameras else 0.0
     lines = [line for conversion in si_conversions(imu) if conversion.unit == "count" for line in conversion.lines()]

@@ -15,7 +15,7 @@ from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.noise import CONSUMER_MEMS
+from ..models.noise import consumer_mems
 from ..options.requirements import Use
 from ..readers.samples.recognise import turning_of_gravity
 from ..recording import Floats, ImuSamples
@@ -109,7 +109,7 @@ def _nominal(problem: MultiPositionProblem, imu: ImuSamples, means: Floats) -> N
     rate_unit = rate_unit_of(imu)
     if rate_unit is None:
         raise SolveError("nothing tells the gyroscope's unit yet.")
-    walk = (CONSUMER_MEMS.gyroscope_random_walk / rate_unit / problem.gyroscope.spread) ** 2
+    walk = (consumer_mems().gyroscope_random_walk / rate_unit / problem.gyroscope.spread) ** 2
     bias = np.median(problem.gyroscope_means, axis=0)
     return nominal_fit(problem, means, walk, g_sensitivity=True, rate_unit=rate_unit, rate_bias=bias)
 

@@ -39,10 +39,11 @@ class ImuNoise:
                 raise OptionError(f"{field.name} {value:g} must be a finite number greater than zero.")
 
 
-CONSUMER_MEMS = ImuNoise(
-    accelerometer_noise_density=4e-3,
-    accelerometer_random_walk=1e-3,
-    gyroscope_noise_density=2e-4,
-    gyroscope_random_walk=4e-5,
-)
-"""Taken where no noise is stated; of the white noise only until the residuals tell it."""
+def consumer_mems() -> ImuNoise:
+    """Return what is taken where no noise is stated; of the white noise only until the residuals tell it."""
+    return ImuNoise(
+        accelerometer_noise_density=4e-3,
+        accelerometer_random_walk=1e-3,
+        gyroscope_noise_density=2e-4,
+        gyroscope_random_walk=4e-5,
+    )

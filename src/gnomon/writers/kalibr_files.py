@@ -28,7 +28,7 @@ from ..frozen import value_class
 from ..geometry.quaternion import quaternion_from_rotation
 from ..geometry.rotation_vector import inverse_pose
 from ..models.camera import Camera
-from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.noise import ImuNoise, consumer_mems
 from ..models.target import Target
 from ..output import write_together
 from ..recording import Floats, ImuSamples, Integers, Recording
@@ -148,7 +148,7 @@ def stated_imu(name: str, samples: ImuSamples, diagnostics: CameraImuDiagnostics
 
 
 def _used(level: NoiseLevel | None, key: str) -> float:
-    return getattr(CONSUMER_MEMS, key) if level is None else level.used
+    return getattr(consumer_mems(), key) if level is None else level.used
 
 
 def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Iterator[str]:

@@ -8,7 +8,7 @@ from gnomon.assess.cameras.camera_imu_verdict import through_stated_focal
 from gnomon.assess.directions import axis_words, duration_text
 from gnomon.assess.observability import LIMITS, known_of, weak_directions
 from gnomon.calibrate.predicted import planned_camera_imu
-from gnomon.models.noise import CONSUMER_MEMS
+from gnomon.models.noise import consumer_mems
 from gnomon.simulate.planned import usual_rig
 
 RATE_HZ = 100.0
@@ -17,7 +17,7 @@ RATE_HZ = 100.0
 def waved(**changes):
     """Return the calibration that a plan would give, which knows what its motion tells."""
     what = CameraImuPlan(**{"duration_s": 20.0, "camera_rate_hz": 10.0, **changes})
-    return planned_camera_imu(what, usual_rig(), CONSUMER_MEMS, RATE_HZ), what
+    return planned_camera_imu(what, usual_rig(), consumer_mems(), RATE_HZ), what
 
 
 def weak(limits=LIMITS, stated=None, **changes):

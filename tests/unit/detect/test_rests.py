@@ -20,8 +20,8 @@ from gnomon.detect.samples.stillness import (
     window_samples,
     window_variances,
 )
-from gnomon.detect.samples.time_base import time_base
 from gnomon.recording import TriadSamples
+from gnomon.recording.samples import time_base
 from gnomon.results.result import StaticIntervals, interval_means, runs_below
 
 

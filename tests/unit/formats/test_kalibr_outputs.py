@@ -160,7 +160,9 @@ def test_several_cameras(camera_calibration, tmp_path):
 
 
 def results_of(calibration, target=None):
-    imus = {name: StatedImu(noise=gnomon.models.noise.CONSUMER_MEMS, update_rate_hz=200.0) for name in calibration.imus}
+    imus = {
+        name: StatedImu(noise=gnomon.models.noise.consumer_mems(), update_rate_hz=200.0) for name in calibration.imus
+    }
     return KalibrResults(
         calibration=calibration,
         target=target or Target.aprilgrid(tag_cols=6, tag_rows=5, tag_size_m=0.088, tag_spacing=0.3),

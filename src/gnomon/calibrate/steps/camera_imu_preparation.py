@@ -10,7 +10,6 @@ from ...assess.checks.rig_checks import check_clock_changes, check_look, name_im
 from ...assess.checks.rig_streams import check_cameras
 from ...assess.priors import SCALARS, TRIADS, Prior, Priors, cameras_disagree, gather_prior
 from ...detect.samples.faults import held_samples, repair_samples, saturated_samples
-from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.camera_imu.batch import NoiseLevels
 from ...estimate.camera_imu.parameters import ImuParameters
@@ -26,10 +25,11 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
-from ...models.noise import CONSUMER_MEMS
+from ...models.noise import consumer_mems
 from ...models.target import Target
 from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats, Recording, TriadSamples
+from ...recording.samples import time_base
 from ...results.calibration import Calibration, Covariance, Gravity
 from ...results.result import runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
@@ -254,7 +254,7 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
                 name=name,
                 origin_ns=origin,
                 rates_hz=(gyroscope.rate_hz, accelerometer.rate_hz),
-                nominal=samples.noise or CONSUMER_MEMS,
+                nominal=samples.noise or consumer_mems(),
                 stated=samples.noise is not None,
             )
         )

@@ -8,7 +8,6 @@ from ...assess.checks.signals import check_magnitude, check_signal
 from ...detect.samples.faults import repair_samples, saturated_samples
 from ...detect.samples.static_intervals import resting_noise, rounding_variance
 from ...detect.samples.stillness import resting_variances, variance_magnitude_squared, window_samples, window_variances
-from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
 from ...estimate.multiposition.measurements import cut_segments, segments_between
 from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked
@@ -17,6 +16,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
+from ...recording.samples import time_base
 from ...results.result import Booleans, StaticIntervals, interval_means, runs_below
 from .preparation import (
     GAP_NS,

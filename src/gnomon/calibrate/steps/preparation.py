@@ -11,7 +11,6 @@ from ...assess.imu.temperature import CHIP_DEGC
 from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
 from ...detect.samples.rests import RestDetection
 from ...detect.samples.static_intervals import resting_noise, rounding_variance
-from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import ImuEstimate, TriadStream
 from ...findings import Finding, make_finding
@@ -20,6 +19,7 @@ from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
 from ...recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples, shared_sources, smallest_steps
+from ...recording.samples import TimeBase, time_base
 from ...recording.thermometer import known_readings
 from ...results.calibration import (
     UNSTATED_GRAVITY,

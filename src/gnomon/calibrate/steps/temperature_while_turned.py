@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.imu.recording_changes import slope_finding
-from ...estimate.multiposition.bias_functions import temperature_columns
+from ...estimate.multiposition.bias_functions import FEWEST_FOR_COURSE, bias_course, temperature_columns
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...estimate.triads.field_poses import FieldPoses
@@ -203,8 +203,6 @@ def field_over_temperature(
     t_ns : (m,) timestamps of all samples [ns]
     taken : None at the first look
     """
-    from ...estimate.temperature.bias_drift import FEWEST_FOR_COURSE, bias_course  # which loads an optimiser
-
     course = temperature_course(thermometer)
     assert course is not None
     seen, middle = course.at(t_ns), t_ns[_middle(poses)]

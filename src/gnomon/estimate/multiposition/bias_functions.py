@@ -5,6 +5,8 @@ b + c_j, and c = 0 in the last one, so that b is its bias.
 
 A bias that wanders, as when a cheap sensor warms up, is its mean plus hat functions of time, whose values at the knots
 follow a random walk. Whether it wanders, and how fast, is read from the residuals at rest.
+
+A course of the temperature is told from the rests alone, where a session changes attitudes or places.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,11 +15,12 @@ from statistics import NormalDist
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import invert_matrix
 from ...options.requirements import USUAL_SLOPE
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from .bias_changes import shares_before
+from .bias_changes import RestMeans, functions_of_time, gyroscope_changes, shares_before
 from .model import PARAMETERS, BiasFunctions, MultiPositionData
 
 _WEAK = {"accelerometer": 0.3, "gyroscope": 1.0}
@@ -48,6 +51,8 @@ _NODES = (  # and weights, by Gauss and Legendre, of the quadrature over a stati
 )
 _DRIFT_SIGMA = 0.1  # of what gravity shows: the accelerometer's bias over the recording
 _ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
+FEWEST_FOR_COURSE = 16
+"""Means that tell a course of the temperature."""
 
 
 def with_bias_steps(
@@ -342,3 +347,80 @@ def walk_precision(data: MultiPositionData, density: Floats) -> Floats:
     walk = difference.T @ difference + _ZERO_MEAN_WEIGHT * np.outer(mean, mean)
     changes = np.maximum(density * spacing, _LEAST_VARIANCE)  # an axis that never changes keeps a finite weight
     return np.asarray(np.kron(walk, np.diag(1 / changes)), dtype=np.float64)
+
+
+@value_class
+class BiasCourse:
+    """What a bias does with the temperature.
+
+    Attributes
+    ----------
+    slopes : (k, 3) coefficients of its powers, from the first on [unit/K^j]
+    covariance : (3 k, 3 k)
+    at_parts, variance : (n, 3) bias minus that at the reference, and its variance by what is not known of the course
+    at_reference : (3,) variance that this gives the bias at the reference
+    """
+
+    slopes: Floats
+    covariance: Floats
+    at_parts: Floats
+    variance: Floats
+    at_reference: Floats
+
+
+def bias_course(
+    t_s: Floats, degc: Floats | None, residual: Floats, noise: Floats, *, at_rest: Booleans, force: Floats | None = None
+) -> BiasCourse | None:
+    """Return how the bias follows the temperature, by the rests; None where they do not tell it from drift in time.
+
+    Generalised least squares (Aitken 1936): beside the temperature a decay, where one is likelier than none, what the
+    attitude does by the g-sensitivity, and a random walk as what is left shows it.
+
+    Parameters
+    ----------
+    t_s : (n,) middle of each part [s]
+    degc : (n, m) what a bias may follow of the temperature, see `RestMeans`; None where nothing tells it from the time
+    residual, noise : (n, 3) measured minus bias, and the variance of each; count at rest alone
+    at_rest : (n,) bool
+    force : (n, 3) specific force of each part; None where it is not known
+    """
+    n = int(at_rest.sum())
+    if degc is None or n < FEWEST_FOR_COURSE:
+        return None
+    felt = np.zeros_like(residual) if force is None else force
+    rests = RestMeans(
+        rest=np.arange(n), t_s=t_s[at_rest], half_s=np.zeros(n), means=residual[at_rest], variance=noise[at_rest],
+        degc=degc[at_rest],
+    )  # fmt: skip
+    changes = gyroscope_changes(rests, felt[at_rest] / max(float(np.abs(felt).max()), 1e-300))
+    if not changes.temperature or changes.steps:
+        return None
+    powers = degc.shape[1]
+    course = functions_of_time(changes, t_s, np.zeros_like(t_s), degc)
+    course[:, :-powers] -= course[at_rest, :-powers].mean(axis=0)
+    design = np.column_stack([course, np.ones(len(t_s)), felt])
+    design = design[:, np.any(design != 0, axis=0)]
+    kept = course.shape[1] - powers + np.array([0, *range(2, powers - 2)])
+    slopes, covariance = np.empty((len(kept), 3)), np.zeros((3 * len(kept), 3 * len(kept)))
+    at_parts, variance, at_reference = np.empty_like(residual), np.empty_like(residual), np.empty(3)
+    left, x, told = residual.copy(), design[at_rest], np.arange(course.shape[1])
+    apart = np.minimum(*np.meshgrid(t_s[at_rest] - t_s[at_rest][0], t_s[at_rest] - t_s[at_rest][0]))
+    for axis in range(3):
+        left[:, axis] -= design @ np.linalg.lstsq(x, residual[at_rest, axis], rcond=1e-12)[0]
+    walks = walk_density(t_s, left, at_rest)
+    for axis in range(3):
+        errors = np.diag(noise[at_rest, axis]) + (0.0 if walks is None else walks[axis]) * apart
+        root = np.linalg.inv(np.linalg.cholesky(errors))
+        size = np.linalg.norm(root @ x, axis=0)
+        inverse = np.linalg.pinv(root @ x / size) / size[:, None]
+        found = inverse @ root @ residual[at_rest, axis]
+        off = root @ (residual[at_rest, axis] - x @ found)
+        own = inverse @ inverse.T * max(1.0, float(off @ off) / max(n - x.shape[1], 1))
+        slopes[:, axis], covariance[axis::3, axis::3] = found[kept], own[np.ix_(kept, kept)]
+        at_parts[:, axis] = course @ found[told]
+        middle = course[at_rest].mean(axis=0)
+        variance[:, axis] = np.einsum("ni,ij,nj->n", course - middle, own[np.ix_(told, told)], course - middle)
+        at_reference[axis] = middle @ own[np.ix_(told, told)] @ middle
+    return BiasCourse(
+        slopes=slopes, covariance=covariance, at_parts=at_parts, variance=variance, at_reference=at_reference
+    )

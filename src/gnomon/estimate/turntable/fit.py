@@ -15,7 +15,7 @@ from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
 from ...results.result import Booleans
-from ..temperature.bias_drift import BiasCourse, bias_course
+from ..multiposition.bias_functions import BiasCourse, bias_course
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.parts import RobustCovariance
