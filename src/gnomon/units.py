@@ -118,17 +118,6 @@ class Units:
         return cls(**found)  # pyright: ignore[reportArgumentType]
 
 
-def stated_units(units: str | Units | None) -> Units:
-    """Return units as they were stated, in words or not at all.
-
-    Raises
-    ------
-    OptionError
-        If a word is no unit.
-    """
-    return Units.parse(units) if isinstance(units, str) else units or Units()
-
-
 ROTATION_UNITS_RAD_S = {"rpm": pi / 30, "rad/s": 1.0, "deg/s": pi / 180, "Hz": 2 * pi}
 """One unit of a platter's rate in rad/s; Hz are turns a second."""
 

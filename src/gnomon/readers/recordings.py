@@ -13,7 +13,7 @@ from ..errors import OptionError, RecordingError
 from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..recording.samples import dataframe_text, is_dataframe
-from ..units import Units, stated_units
+from ..units import Units
 from .devices.device_log import is_device_log
 from .files import (
     FEWEST_FILES,
@@ -155,6 +155,17 @@ def _stated(units: str | Units | None, rate_hz: float | None) -> Units:
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
     return stated_units(units)
+
+
+def stated_units(units: str | Units | None) -> Units:
+    """Return units as they were stated, in words or not at all.
+
+    Raises
+    ------
+    OptionError
+        If a word is no unit.
+    """
+    return Units.parse(units) if isinstance(units, str) else units or Units()
 
 
 def read_recognising(

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import RecordingError
 from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
-from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units, stated_units
+from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
 from .frames import Arrivals, CameraFrames, ImageStream, KnownRig
 from .samples import ImuSamples, Poses, TriadSamples, frozen_array, ns_from_s
 
@@ -171,7 +171,7 @@ class Recording:
         OptionError
             If `units` names no unit.
         """
-        stated = stated_units(units)
+        stated = Units.parse(units) if isinstance(units, str) else units
         _refuse_swapped(gyro, accel, stated)
         t_gyro, t_accel = t_s if isinstance(t_s, tuple) else (t_s, t_s)
         samples = ImuSamples(

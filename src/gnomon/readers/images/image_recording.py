@@ -18,11 +18,11 @@ from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array
 from ...recording.frames import ImageStream
 from ...recording.recording import ImageRecording
-from ...units import Units, stated_units
+from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
-from ..recordings import ReadLog
+from ..recordings import ReadLog, stated_units
 from ..rig.streams import EXPECTED as EXPECTED_IMU
 from ..rig.streams import folder_holds_imu as corners_with_imu
 from ..rig.streams import holds_corners, imu_tables, imu_tables_beside, read_imu

@@ -17,9 +17,9 @@ from ...formats.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imu
 from ...frozen import value_class
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Integers, Recording, Source
-from ...units import Units, stated_units
+from ...units import Units
 from ..files import file_source
-from ..recordings import ReadLog
+from ..recordings import ReadLog, stated_units
 from .corner_table import CornerTable, read_corner_table, read_frame_stamps
 from .streams import CornerStream, corner_streams, imu_files, read_imu, recording_folder
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import OptionError, RecordingError
 from ...recording import ImuSamples, Recording, TriadSamples
-from ...units import Units, stated_units
+from ...units import Units
 from ..files import (
     NPZ_MAGIC,
     accelerometer_and_gyroscope,
@@ -18,7 +18,7 @@ from ..files import (
     recording_files,
     sample_files,
 )
-from ..recordings import read_recognising, without_magnetometer
+from ..recordings import read_recognising, stated_units, without_magnetometer
 from .recognise import WITH_RESTS
 from .table import RATE_HELP, read_table
 
