@@ -7,7 +7,7 @@ it rounds exactly, by the parser of a JSON library: about three times and twice 
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -27,11 +27,12 @@ _NUMBERS = b"0123456789+-.eE,\n\r "
 _BLOCK = 1 << 20
 """Bytes that are parsed at a time; bounds the memory of Python's numbers."""
 _COMMA, _NEWLINE = b",\n"
+_Columns = list[Floats | Integers]
 
 
 def parse_number_table(
     data: bytes, offset: int, delimiter: str | None, kinds: Sequence[str], name: str = ""
-) -> list[Floats | Integers] | None:
+) -> _Columns | None:
     """Return the columns of a table that is numbers throughout; None where it is anything else, or not quite regular.
 
     Numbers are rounded as by NumPy and Python, to the nearest double.
@@ -45,33 +46,41 @@ def parse_number_table(
     """
     if not set(kinds) <= {"f8", "i8"}:
         return None
-    table = data[offset:]
-    columns = (
-        read_plain_numbers(table, delimiter, [kind == "i8" for kind in kinds]) if load_kernel() is not None else None
-    )
-    if columns is not None or delimiter not in {",", ";", "\t"}:
-        return columns
+    table = data[offset:].rstrip(b"\r\n")
+    if load_kernel() is not None:
+        columns = _in_blocks(
+            table, lambda lines: read_plain_numbers(lines, delimiter, [kind == "i8" for kind in kinds]), name
+        )
+        if columns is not None:
+            return columns
+    if delimiter not in {",", ";", "\t"}:
+        return None
     if delimiter != ",":
         if b"," in table:
             return None
         table = table.replace(delimiter.encode(), b",")
-    table = table.replace(b"\r\n", b"\n").rstrip(b"\n")
-    if not table or table.translate(None, _NUMBERS):
+    table = table.replace(b"\r\n", b"\n")
+    if table.translate(None, _NUMBERS):
         return None
-    parts: list[list[Floats | Integers]] = []
+    return _in_blocks(table, lambda lines: _block(lines, kinds), name)
+
+
+def _in_blocks(table: bytes, parse: Callable[[bytes], _Columns | None], name: str) -> _Columns | None:
+    """Return the columns of a table that is parsed some lines at a time; None where one of the blocks is refused."""
+    parts: list[_Columns] = []
     begin = 0
     while begin < len(table):
         end = table.rfind(b"\n", begin, begin + _BLOCK) if len(table) - begin > _BLOCK else len(table)
-        columns = _block(table[begin:end], kinds) if end > begin else None
+        columns = parse(table[begin:end]) if end > begin else None
         if columns is None:
             return None
         parts.append(columns)
         begin = end + 1
         tell_read(name, begin, len(table))
-    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return [np.concatenate(column) for column in zip(*parts, strict=True)] if parts else None
 
 
-def _block(lines: bytes, kinds: Sequence[str]) -> list[Floats | Integers] | None:
+def _block(lines: bytes, kinds: Sequence[str]) -> _Columns | None:
     count = len(kinds)
     if not _is_regular(lines, count):
         return None
@@ -80,7 +89,7 @@ def _block(lines: bytes, kinds: Sequence[str]) -> list[Floats | Integers] | None
     except orjson.JSONDecodeError:  # +1, .5 and 007 are no numbers there
         return None
     values = np.array(numbers, dtype=np.float64).reshape(-1, count)
-    columns: list[Floats | Integers] = []
+    columns: _Columns = []
     for k, kind in enumerate(kinds):
         if kind == "f8":
             columns.append(values[:, k])
