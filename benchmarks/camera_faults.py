@@ -19,7 +19,7 @@ from sensor_faults import Case, Floats, Outcome, main
 import gnomon
 from gnomon.assess.cameras.cameras_verdict import pixel_moves
 from gnomon.errors import GnomonError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, Integers

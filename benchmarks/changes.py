@@ -24,7 +24,7 @@ from imu import HERE, Table, machine
 
 import gnomon
 from gnomon import CameraImuOptions, CameraImuScenario, Recording, Scenario
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.options import StatedRate
 from gnomon.simulate import (
     CamerasScenario,

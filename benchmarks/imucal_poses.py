@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 import gnomon
-from gnomon.geometry.quaternion import quaternion_product
+from gnomon.geometry.rotations import quaternion_product
 from gnomon.simulate.trajectory import Motions, rotvec_quaternions
 
 RATE_HZ, REST_S, MOVE_S, FIRST_S = 100.0, 4.0, 2.0, 30.0

@@ -25,7 +25,7 @@ import gnomon
 from gnomon.assess.checks.image_checks import measure_image
 from gnomon.assess.needs import needs_of_use
 from gnomon.detect.boards.board import BoardView
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.live.camera_session import CameraSession
 from gnomon.live.image_sources import SHOWN, ImageArrival, ReplayImages
 from gnomon.live.rig_session import MotionCoach, RigCoach

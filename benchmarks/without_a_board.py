@@ -33,7 +33,7 @@ import gnomon
 from gnomon.calibrate.steps import landmark_map
 from gnomon.detect.tracks import PointTracks
 from gnomon.errors import GnomonError
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.simulate import RoomScenario, camera_imu_path, simulate_camera_imu
 from gnomon.study import circuit_walk
 from gnomon.writers.simulated_cameras import save_camera_imu_recording

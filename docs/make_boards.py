@@ -121,7 +121,7 @@ _SMALL = {
 def sizes(views: int = 12) -> None:
     """Print which share of the points is found in images of 752 x 480 px, tilted by up to 40 degrees."""
     from gnomon.detect.boards.worker import make_detector
-    from gnomon.geometry.rotation_vector import rotation_from_rotvec
+    from gnomon.geometry.rotations import rotation_from_rotvec
     from gnomon.simulate.images.rendering import Optics, render_board
 
     focal = 460.0

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 FOLDER = Path(__file__).parent / "movements"
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ LOOK = rotation_from_rotvec(np.radians([-62.0, 0, 0])) @ rotation_from_rotvec(np
 
 def between(rotations: Sequence[Floats], turning: int, resting: int) -> list[Floats]:
     """Return frames that turn from one attitude to the next by the shortest way, and rest at each."""
-    from gnomon.geometry.rotation_vector import rotvec_from_rotation
+    from gnomon.geometry.rotations import rotvec_from_rotation
 
     frames: list[Floats] = []
     for start, stop in zip(rotations, [*rotations[1:], rotations[0]], strict=True):

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames

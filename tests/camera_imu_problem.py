@@ -19,7 +19,7 @@ from gnomon.estimate.camera_imu.start.first_guess import per_corner
 from gnomon.estimate.camera_imu.terms.inertial_terms import InertialData, InertialNoise, TriadData
 from gnomon.estimate.camera_imu.terms.visual_terms import Exposures, VisualData, board_in_camera, exposure_times
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.frames import Origin, single_point_weights
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.models.forms import KalibrGyroscope
 
 KALIBRS_WEIGHTS = {"noise": "nominal", "pixel_sigma": 1.0, "knots_per_s": 100.0, "robust": False}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import gnomon
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from gnomon.estimate.camera_imu.start.first_guess import ImuPath, align_cameras,
 from gnomon.estimate.camera_imu.terms.inertial_terms import InertialNoise
 from gnomon.estimate.camera_imu.terms.visual_terms import VisualData
 from gnomon.estimate.camera_imu.trajectory import POSE
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 
 
 @dataclass(frozen=True, kw_only=True)

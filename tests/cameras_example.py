@@ -3,7 +3,7 @@
 import numpy as np
 
 from gnomon.findings import Finding
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import Source
 from gnomon.results.calibration import UNSTATED_GRAVITY, Assessment, Calibration, CamerasFit, Covariance, Provenance

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnomon.assess.cameras.cameras_tables import MISFIT, NOT_CHOSEN
 from gnomon.findings import Finding
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, skew
+from gnomon.geometry.rotations import rotation_from_rotvec, skew
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Source

@@ -10,7 +10,7 @@ G = 9.80665
 
 def motion(count=2000, step_s=0.01, seed=1):
     """Return time [s], specific force and angular rate, (n, 3) each, of a phone that rests in several attitudes."""
-    from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+    from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 
     rng = np.random.default_rng(seed)
     t = step_s * np.arange(count)

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.simulate.images.board_outlines import pixel_coverage
 from rendered import FACING
 

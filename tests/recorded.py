@@ -19,7 +19,7 @@ import yaml
 
 import gnomon
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import Floats
 from gnomon.recording.frames import ImageStream

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

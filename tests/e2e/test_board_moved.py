@@ -11,7 +11,7 @@ from gnomon.assess.cameras.rig_findings import judged_again
 from gnomon.assess.checks.board_views import BoardMove, BoardTurns, board_move
 from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.findings import Finding
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.simulate.camera_imu_streams import View
 from support.healthy import healthy_rig

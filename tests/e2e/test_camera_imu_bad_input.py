@@ -28,7 +28,7 @@ from camera_imu_folder import (
 )
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli.files import CAMERA_IMU_FILES
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 
 SCENARIO = CameraImuScenario(duration_s=22.0, imu_rate_hz=100.0, camera_rate_hz=10.0)

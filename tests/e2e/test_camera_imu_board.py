@@ -7,7 +7,7 @@ from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.calibrate.steps import camera_imu_model
 from gnomon.estimate.camera_imu import gauss_newton, solution
 from gnomon.estimate.camera_imu.batch import linearize_batch
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 

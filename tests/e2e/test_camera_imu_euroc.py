@@ -17,7 +17,7 @@ import gnomon
 from camera_imu_rig import KALIBRS_WEIGHTS, Rig, degrees_between, rms
 from gnomon import CameraImuOptions, calibrate_camera_imu
 from gnomon.assess.checks.rig_doctor import check_corners
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.recording import Recording, TriadSamples
 
 EUROC_CAMCHAIN = """

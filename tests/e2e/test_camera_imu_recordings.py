@@ -16,7 +16,7 @@ from camera_imu_rig import KALIBRS_WEIGHTS, Rig, rms
 from camera_imu_truth import errors
 from gnomon import CameraImuOptions, calibrate_camera_imu
 from gnomon.calibrate.comparison import compare
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.models.forms import LOWER
 
 A, B, D = (

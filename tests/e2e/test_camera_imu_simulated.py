@@ -15,8 +15,7 @@ import gnomon
 from camera_imu_truth import cramer_rao_sigma, errors, turned
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
 from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
-from gnomon.geometry.quaternion import rotation_from_quaternion
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_quaternion, rotation_from_rotvec, rotvec_from_rotation
 
 SCENARIO = CameraImuScenario(
     duration_s=12.0, imu_rate_hz=100.0, camera_rate_hz=10.0, target_cols=4, target_rows=4, random_extrinsics=True

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.calibrate.steps.camera_lenses import CANDIDATES
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.scenarios.cameras import USUAL_LENSES, CamerasScenario

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.geometry.quaternion import (
+from gnomon.geometry.rotations import (
     normalise_quaternion,
     quaternion_product,
     rk4n_steps,

@@ -8,7 +8,7 @@ import pytest
 
 import gnomon
 from gnomon.cli.commands.simulated_imu import join_poses, pose_averages
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.recording import ImuSamples, Piece, Poses, Recording, TriadSamples
 from gnomon.simulate import PoseScenario, simulate_poses
 from gnomon.writers.recording_file import save_pose_files, save_poses, save_recording

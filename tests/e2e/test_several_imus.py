@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.results.sensors import calibration_parameters
 
 OPTIONS = CameraImuOptions(gravity=9.80665, model="full", covariance="ordinary")

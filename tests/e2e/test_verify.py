@@ -12,7 +12,7 @@ import gnomon
 from gnomon.cli import main
 from gnomon.cli.commands.verify import read_verification
 from gnomon.estimate.trust.changes import estimates_alone
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.options.requirements import Use
 from gnomon.report.comparison import verified_tables
 from gnomon.simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu

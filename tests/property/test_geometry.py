@@ -5,14 +5,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gnomon.geometry.quaternion import (
+from gnomon.geometry.rotations import (
+    nearest_rotation,
     normalise_quaternion,
     quaternion_product,
     rk4n_steps,
     rotation_from_quaternion,
     running_products,
+    skew,
+    tangent_basis,
 )
-from gnomon.geometry.rotation_vector import nearest_rotation, skew, tangent_basis
 
 component = st.floats(-10, 10, allow_subnormal=False)
 quaternions = arrays(float, 4, elements=component).filter(lambda q: np.linalg.norm(q) > 1e-3)

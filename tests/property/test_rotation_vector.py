@@ -5,7 +5,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gnomon.geometry.rotation_vector import (
+from gnomon.geometry.rotations import (
     body_rotation,
     nearest_branch,
     right_jacobian,

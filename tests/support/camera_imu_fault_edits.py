@@ -5,7 +5,7 @@ from math import radians
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.target import Target
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, Floats, TriadSamples

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec
+from gnomon.geometry.rotations import right_jacobian, rotation_from_rotvec
 from gnomon.models.gravity import EARTH_RATE_RAD_S, normal_gravity_m_s2
 from gnomon.options import ImuOptions
 from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples

@@ -19,7 +19,7 @@ from scipy.stats import chi2, f
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.calibrate.imu import calibrate_imu
 from gnomon.errors import GnomonError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import Floats

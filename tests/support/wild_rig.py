@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.noise import ImuNoise
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, ImuSamples, TriadSamples

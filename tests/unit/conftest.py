@@ -12,7 +12,7 @@ import gnomon
 from gnomon.calibrate.steps.preparation import weighted_stream
 from gnomon.detect.samples.stillness import static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..geometry.rotation_vector import invert_matrix, skew
+from ..geometry.rotations import invert_matrix, skew
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, RequiredQuantity, Use
 from ..recording import Floats

@@ -51,7 +51,7 @@ from ..estimate.multiposition.model import (
 from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
 from ..estimate.multiposition.problem import MultiPositionProblem, to_physical_units
 from ..frozen import value_class
-from ..geometry.rotation_vector import rotation_from_rotvec, skew, tangent_basis
+from ..geometry.rotations import rotation_from_rotvec, skew, tangent_basis
 from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import CameraFrames, Floats

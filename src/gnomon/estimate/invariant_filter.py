@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import right_jacobian, rotation_from_rotvec, skew
+from ..geometry.rotations import right_jacobian, rotation_from_rotvec, skew
 from ..recording import Floats, Integers
 
 

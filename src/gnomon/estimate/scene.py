@@ -26,8 +26,14 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array
 
 from ..frozen import value_class
-from ..geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
-from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation, skew
+from ..geometry.rotations import (
+    rk4n_steps,
+    rotation_from_quaternion,
+    rotation_from_rotvec,
+    rotvec_from_rotation,
+    running_products,
+    skew,
+)
 from ..models.camera import Camera
 from ..processes import results_ahead
 from ..progress import tell_parts

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError
-from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose, quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import ImuNoise, consumer_mems

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
 from ..results.temperature_dependence import TemperatureDependence

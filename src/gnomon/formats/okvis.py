@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose
 from ..models.lens_names import DistortionName
 from ..recording import Floats
 from ..results.calibration import Calibration, CameraCalibration, ImuCalibration

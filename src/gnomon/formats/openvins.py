@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..frozen import field_names
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from ..models.noise import ImuNoise
 from ..models.project_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..recording import Floats

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose
 from ..models.camera import Camera
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu

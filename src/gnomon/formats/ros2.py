@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.rotation_vector import inverse_pose, invert_matrix
+from ..geometry.rotations import inverse_pose, invert_matrix, quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
 from ..results.calibration import Calibration, CameraCalibration

@@ -142,7 +142,7 @@ static void add_gram(int64_t n, int64_t w, int64_t stride, const double *rows, d
     add_gram_plain(n, w, stride, rows, sums);
 }
 
-/* rotation vectors, as geometry/rotation_vector.py has them */
+/* rotation vectors, as geometry/rotations.py has them */
 
 typedef struct {
     double a, b, c, b_slope, c_slope, b_bend, c_bend;
@@ -879,7 +879,7 @@ static inline void hamilton(const double *a, const double *b, double *out) {
     out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
 }
 
-/* The quaternion of one step of RK4n from the rates at its ends, as in geometry/quaternion.py. */
+/* The quaternion of one step of RK4n from the rates at its ends, as in geometry/rotations.py. */
 static inline void rk4n_step(const double *omega0, const double *omega1, double dt, double *step) {
     double start[4] = {0.0}, end[4] = {0.0}, middle[4] = {0.0}, k2[4], k3[4], k4[4], square = 0.0;
     for (int i = 0; i < 3; i++) {

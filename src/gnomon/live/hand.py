@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..geometry.quaternion import normalise_quaternion, quaternion_product
+from ..geometry.rotations import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from ..results.calibration import ImuCalibration
 from ..results.moved import rotate_imu

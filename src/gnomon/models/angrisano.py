@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from .forms import AccelerometerForm, in_frame, unit_diagonal
 from .frames import Floats
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from .frames import Floats, fixed_entries, frame_rotation
 
 KrebsReading = Literal["chapter 3", "chapter 4"]

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotation_vector import acceleration_by_place, kronecker_product
+from ..geometry.rotations import acceleration_by_place, kronecker_product
 
 Floats = NDArray[np.float64]
 

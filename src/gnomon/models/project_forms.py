@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, unit_diagonal
 from .frames import Floats
 

@@ -9,7 +9,7 @@ import numpy as np
 from .._version import __version__
 from ..assess.comparison.comparison import Comparison, Difference, Repeatability, block_words, shown_unit, typical_size
 from ..assess.comparison.verification import Verification, movement_words
-from ..geometry.quaternion import quaternion_from_rotation
+from ..geometry.rotations import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
 from .certificate import front_tables

@@ -7,7 +7,7 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from ..models.forms import in_own_axes
 from ..recording import Floats
 from ..results.calibration import Calibration

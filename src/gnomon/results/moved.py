@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotation_vector import skew
+from ..geometry.rotations import skew
 from ..models.frames import Origin, fixed_entries, frame_rotation, frame_turn, rotation_jacobian
 from ..recording import Floats
 from .sensors import TRIADS, CameraCalibration, ImuCalibration, calibration_parameters, covariance_names

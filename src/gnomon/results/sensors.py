@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, OptionError
 from ..frozen import FrozenMapping, value_class
-from ..geometry.rotation_vector import rotvec_from_rotation
+from ..geometry.rotations import rotvec_from_rotation
 from ..models.camera import Camera
 from ..models.frames import Origin
 from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from ..frozen import FrozenMapping, value_class
-from ..geometry.rotation_vector import rotvec_from_rotation
+from ..geometry.rotations import rotvec_from_rotation
 from ..models.frames import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording

@@ -21,8 +21,7 @@ from typing import Self
 import numpy as np
 
 from ..frozen import field_names, value_class
-from ..geometry.quaternion import Floats
-from ..geometry.rotation_vector import skew
+from ..geometry.rotations import Floats, skew
 from .scenarios.camera_imu import CameraImuScenario, MotionName
 
 COORDINATES = ("azimuth", "elevation", "range", "roll", "yaw", "pitch", "shake_x", "shake_y", "shake_z")

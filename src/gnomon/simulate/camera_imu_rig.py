@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..frozen import field_names, value_class
-from ..geometry.quaternion import Floats, rotation_from_quaternion
-from ..geometry.rotation_vector import rotation_from_rotvec
+from ..geometry.rotations import Floats, rotation_from_quaternion, rotation_from_rotvec
 from ..models.camera import Camera
 from ..models.forms import DIAGONAL, FULL, LOWER
 from ..models.gravity import EARTH_RATE_RAD_S

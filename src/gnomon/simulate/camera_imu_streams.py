@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import acceleration_by_place, along_axes, rotvec_from_rotation
+from ..geometry.rotations import acceleration_by_place, along_axes, rotvec_from_rotation
 from ..models.camera import Booleans, Camera
 from ..recording import CameraFrames, Floats, ImuSamples, Integers, TriadSamples
 from ..results.calibration import CameraCalibration, ImuCalibration

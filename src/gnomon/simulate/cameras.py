@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import FrozenMapping, value_class
-from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from ..models.camera import Booleans, Camera
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Integers, Recording

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import rotation_from_rotvec
+from ..geometry.rotations import rotation_from_rotvec
 from ..models.angrisano import AngrisanoTriad
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotation_vector import rotation_from_rotvec
+from ..geometry.rotations import rotation_from_rotvec
 from ..models.frames import frame_rotation
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import (

@@ -13,7 +13,7 @@ senses that turn.
 import numpy as np
 
 from ..frozen import field_names, value_class
-from ..geometry.quaternion import normalise_quaternion, quaternion_product
+from ..geometry.rotations import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from .scenarios.recorded import Scenario
 

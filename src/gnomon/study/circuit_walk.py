@@ -16,7 +16,7 @@ from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.invariant_filter import Beginning, Sightings, estimate_path, preintegrate_imu
 from ..frozen import field_names, value_class
-from ..geometry.rotation_vector import rotation_from_rotvec
+from ..geometry.rotations import rotation_from_rotvec
 from ..models.target import Target
 from ..options import CameraImuOptions, ImuOptions
 from ..options.requirements import BETWEEN_RECORDINGS, USES

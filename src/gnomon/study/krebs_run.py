@@ -11,7 +11,7 @@ import numpy as np
 from ..calibrate.camera_imu import calibrate_camera_imu
 from ..errors import GnomonError
 from ..frozen import field_names, value_class
-from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from ..models.forms import DIAGONAL, LOWER
 from ..models.noise import ImuNoise
 from ..options import CameraImuOptions

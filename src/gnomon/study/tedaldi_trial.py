@@ -12,7 +12,7 @@ from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.multiposition.measurements import cut_segments, integrate_rates, propagate_directions, segments_between
 from ..frozen import field_names, value_class
-from ..geometry.rotation_vector import invert_matrix
+from ..geometry.rotations import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording

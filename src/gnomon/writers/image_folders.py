@@ -14,7 +14,7 @@ from av.error import FFmpegError
 
 from ..errors import OptionError, OutputError, RecordingError
 from ..formats.shared.yaml_text import yaml_lines
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose
 from ..output import atomic_file, whole_folder
 from ..processes import results_ahead
 from ..progress import Progress, Step

@@ -25,8 +25,7 @@ from ..formats.shared.losses import (
     without_k3,
 )
 from ..frozen import value_class
-from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.rotation_vector import inverse_pose
+from ..geometry.rotations import inverse_pose, quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.noise import ImuNoise, consumer_mems
 from ..models.target import Target

@@ -9,7 +9,7 @@ from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.assess.comparison.candidates import ComparisonCandidate
 from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.observability import known_of, weak_directions, weak_findings
-from gnomon.geometry.rotation_vector import invert_matrix, rotation_from_rotvec
+from gnomon.geometry.rotations import invert_matrix, rotation_from_rotvec
 from gnomon.results.calibration import Covariance, Provenance
 
 SIGMA = 1e-4

@@ -11,7 +11,7 @@ from gnomon.assess.comparison.comparison import lens_difference
 from gnomon.assess.comparison.quantities import statement_of
 from gnomon.calibrate.comparison import compare
 from gnomon.errors import FormatError, OptionError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import Source
 from gnomon.results.calibration import Calibration, Covariance, Gravity
@@ -139,7 +139,7 @@ def test_derivatives(random_calibration):
         if quantity.rotation is None:
             slope = (one.values - other.values) / (2 * h)
         else:
-            slope = gnomon.geometry.rotation_vector.rotvec_from_rotation(other.rotation.T @ one.rotation) / (2 * h)
+            slope = gnomon.geometry.rotations.rotvec_from_rotation(other.rotation.T @ one.rotation) / (2 * h)
         np.testing.assert_allclose(np.abs(slope), sigma, rtol=1e-5, atol=1e-7 * np.abs(slope).max(), err_msg=path)
 
 

@@ -10,7 +10,7 @@ from cameras_result import make_cameras_result
 from gnomon.assess.comparison.candidates import ComparisonCandidate
 from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.comparison.quantities import statement_of
-from gnomon.geometry.rotation_vector import invert_matrix, rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import invert_matrix, rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report.comparison import comparison_page, write_comparison_report
 from gnomon.results.calibration import Covariance
 from html_page import Page

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.triads.attitudes import compare_attitudes, rough_directions
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 EDGES = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) in {1, 2}])
 STATED = EDGES / np.linalg.norm(EDGES, axis=1, keepdims=True)

@@ -377,7 +377,7 @@ def test_camera_entries_by_hand(camera_calibration):
     covariance = calibration.covariance("cam1.T_cam_imu.rotation", "cam1.T_cam_imu.translation")
     rng = np.random.default_rng(1)
     draws = rng.multivariate_normal(np.zeros(6), covariance, 20_000)
-    R = T[:3, :3] @ gnomon.geometry.rotation_vector.rotation_from_rotvec(draws[:, :3])
+    R = T[:3, :3] @ gnomon.geometry.rotations.rotation_from_rotvec(draws[:, :3])
     t = T[:3, 3] + draws[:, 3:]
     p = -np.einsum("nji,nj->ni", R, t)
     for i, j in np.ndindex(3, 3):

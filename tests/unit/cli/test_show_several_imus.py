@@ -8,7 +8,7 @@ import pytest
 from camera_imu_result import make_camera_imu_result
 from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.cli.results import parameter_lines
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.report.camera_imu.page import camera_imu_page
 from gnomon.report.rig_parameters import placed_imu_groups
 from gnomon.results.calibration import Covariance

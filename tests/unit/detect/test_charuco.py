@@ -8,7 +8,7 @@ import gnomon.detect.boards.charuco as module
 from detection import Score, Truth
 from gnomon.detect.boards.charuco import detect_charuco
 from gnomon.errors import OptionError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

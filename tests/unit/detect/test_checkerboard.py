@@ -15,7 +15,7 @@ from gnomon.detect.boards.checkerboard import (
     fill_grid,
     find_board,
 )
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

@@ -6,7 +6,7 @@ import pytest
 from gnomon.detect.boards.board import BoardView, nothing_seen
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumber_view
 from gnomon.errors import OptionError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from rendered import FACING

@@ -9,7 +9,7 @@ from detection import Score, Truth
 from gnomon.detect.boards.board import BoardView
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumber_view
 from gnomon.detect.boards.circlegrid import CircleGridDetector
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

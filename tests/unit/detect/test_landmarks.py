@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gnomon.detect.tracks import Landmarks, cut_pieces, follow_points
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 
 K = np.array([[200.0, 0.0, 119.5], [0.0, 200.0, 89.5], [0.0, 0.0, 1.0]])

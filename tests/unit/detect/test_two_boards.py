@@ -9,7 +9,7 @@ from gnomon.detect.boards.board import SECOND_BOARD
 from gnomon.detect.boards.charuco import detect_charuco
 from gnomon.detect.boards.checkerboard import detect_checkerboard
 from gnomon.detect.boards.circlegrid import CircleGridDetector
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

@@ -12,7 +12,7 @@ from gnomon.estimate.camera_imu.start.alignment import align_camera, gyroscope_i
 from gnomon.estimate.camera_imu.start.board_poses import board_poses, gather_exposures
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_cameras, first_place
 from gnomon.estimate.camera_imu.terms.visual_terms import CornerSums, frame_scatter
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames
 from gnomon.simulate.camera_imu_streams import START_NS

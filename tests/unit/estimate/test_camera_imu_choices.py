@@ -7,7 +7,7 @@ from gnomon import CameraImuOptions, OptionError
 from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.layout import border_layout, parameter_blocks
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 
 LENSES = (

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from camera_imu_problem import problem
 from gnomon.estimate.camera_imu.result.publish import publish_rig
 from gnomon.estimate.camera_imu.result.uncertainty import FixedParameterEffect, Uncertainty
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
 from gnomon.results.sensors import calibration_parameters, covariance_names
 

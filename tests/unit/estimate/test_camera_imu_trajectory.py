@@ -11,7 +11,7 @@ from gnomon.estimate.camera_imu.batch import mean_weights
 from gnomon.estimate.camera_imu.start.first_guess import ImuPath, imu_path, initial_trajectory
 from gnomon.estimate.camera_imu.terms.inertial_terms import knots_per_s, motion_limit_hz, power_spectrum
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_streams import START_NS
 
 ORDERS = [4, 5, 6]

@@ -14,7 +14,7 @@ from gnomon.estimate.cameras.layout import board_points, stated_shape
 from gnomon.estimate.cameras.problem import chosen_views
 from gnomon.estimate.cameras.rig import gathered_views
 from gnomon.estimate.cameras.solution import solve_rig
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.models.target import Target
 from jackknife import jackknife_covariance
 

@@ -12,7 +12,7 @@ from gnomon.estimate.triads.attitudes import fit_dip
 from gnomon.estimate.triads.field_poses import field_poses, rough_ellipsoid, sample_noise
 from gnomon.estimate.triads.triad_start import Ellipsoid
 from gnomon.estimate.triads.triad_trust import Stage, TimeBlocks, block_covariance, leave_blocks_out, memory_s
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import MagnetometerOptions
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.simulate import FieldScenario, simulate_magnetometer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.invariant_filter import Beginning, Sightings, estimate_path, preintegrate_imu
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_rig import drawn_imu_truth, nominal_extrinsics
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.walk import WalkScenario, simulate_walk

@@ -12,7 +12,7 @@ from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.terms.assembly import border_priors, from_known, pose_residual
 from gnomon.formats.shared.entries import baseline_of
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.recording import KnownRig
 from gnomon.results.sensors import CameraCalibration, covariance_names

@@ -12,7 +12,7 @@ from gnomon.estimate.multiposition.measurements import (
     segments_between,
 )
 from gnomon.estimate.multiposition.tedaldi import fit_gyroscope, leave_group_out
-from gnomon.geometry.quaternion import (
+from gnomon.geometry.rotations import (
     normalise_quaternion,
     quaternion_product,
     rk4n_steps,

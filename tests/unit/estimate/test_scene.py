@@ -18,7 +18,7 @@ from gnomon.estimate.scene import (
     rates_by_camera,
     turns_between,
 )
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate import RoomScenario, simulate_camera_imu
 
 

@@ -25,7 +25,7 @@ from gnomon.estimate.camera_imu.terms.inertial_terms import (
 )
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import in_frame
 from gnomon.models.frames import Origin, single_point_weights
 from gnomon.options import CameraImuOptions

@@ -9,7 +9,7 @@ from gnomon import InitialisationError, OptionError
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.triads.triad_problem import TriadPoses, TriadPrior
 from gnomon.estimate.triads.triad_start import constrained_ellipsoid, fit_sphere, general_ellipsoid
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 GRAVITY = 9.80665
 FACES = np.concatenate([np.eye(3), -np.eye(3)])

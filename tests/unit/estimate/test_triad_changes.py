@@ -7,7 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.estimate.multiposition.triad_changes import triad_causes
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 GYROSCOPE, ACCELEROMETER = "gyroscope", "accelerometer"
 TURN, GAIN = np.radians([0.3, -0.4, 0.2]), np.array([0.0, 4e-3, 0.0])

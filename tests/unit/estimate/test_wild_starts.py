@@ -16,7 +16,7 @@ from gnomon.estimate.camera_imu.start.board_poses import BoardPoses
 from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_with_gravity
 from gnomon.estimate.multiposition.bias_functions import walk_precision
 from gnomon.estimate.trust.clusters import Robust
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import ImuSamples, TriadSamples
 

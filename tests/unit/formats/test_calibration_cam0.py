@@ -14,7 +14,7 @@ from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.sensor_inputs import read_cameras, read_rig
 from gnomon.formats.shared.entries import baseline_of
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.results.sensors import covariance_names
 from gnomon.results.trust import UncertaintySummary
 from gnomon.writers.tables import form_tables, summary_table

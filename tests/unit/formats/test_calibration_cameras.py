@@ -10,7 +10,7 @@ import pytest
 import gnomon
 from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from gnomon.results.calibration import CameraCalibration
 from gnomon.results.moved import moved_into_frame
 from gnomon.results.sensors import calibration_parameters, covariance_names, element_names

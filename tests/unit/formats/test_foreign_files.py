@@ -11,7 +11,7 @@ import yaml
 from gnomon.errors import FormatError
 from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.geometry.quaternion import rotation_from_quaternion
+from gnomon.geometry.rotations import rotation_from_quaternion
 from gnomon.models.noise import ImuNoise
 from gnomon.writers.tables import foreign_document, foreign_tables
 

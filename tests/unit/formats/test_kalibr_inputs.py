@@ -13,7 +13,7 @@ from gnomon.errors import FormatError
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
 from gnomon.formats.kalibr.target import read_target
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 CAM = {
     "camera_model": "pinhole",

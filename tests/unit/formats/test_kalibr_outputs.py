@@ -16,7 +16,7 @@ from gnomon.formats.kalibr.imu import StatedImu, imu_text, read_imu_input
 from gnomon.formats.kalibr.results import read_kalibr_results
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.geometry.quaternion import rotation_from_quaternion
+from gnomon.geometry.rotations import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.results.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance

@@ -4,14 +4,16 @@ import mpmath
 import numpy as np
 import pytest
 
-from gnomon.geometry.quaternion import (
+from gnomon.geometry.rotations import (
+    nearest_rotation,
     normalise_quaternion,
     quaternion_product,
     rk4n_steps,
     rotation_from_quaternion,
     running_products,
+    skew,
+    tangent_basis,
 )
-from gnomon.geometry.rotation_vector import nearest_rotation, skew, tangent_basis
 
 ONE, *UNITS = np.eye(4)
 

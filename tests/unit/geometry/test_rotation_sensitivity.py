@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 
 RATE_HZ, GRAVITY = 100.0, 9.80665
 X, Y, Z = np.eye(3)

@@ -4,12 +4,13 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from gnomon.geometry.quaternion import quaternion_from_rotation, rotation_from_quaternion
-from gnomon.geometry.rotation_vector import (
+from gnomon.geometry.rotations import (
     angular_acceleration_by_phi,
     body_rotation,
     nearest_branch,
+    quaternion_from_rotation,
     right_jacobian,
+    rotation_from_quaternion,
     rotation_from_rotvec,
     rotvec_from_rotation,
     unwrap_rotvecs,

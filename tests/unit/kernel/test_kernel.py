@@ -20,7 +20,7 @@ from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts
 from gnomon.estimate.camera_imu.terms.visual_terms import CornerNoise, Exposures, corner_sums
 from gnomon.estimate.multiposition.measurements import MotionSegments, integrate_rates
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.kernel.library import join_columns
 from gnomon.models.camera import Camera
 from gnomon.models.lens_names import COEFFICIENTS, SHAPES

@@ -8,7 +8,7 @@ import pytest
 
 from gnomon.detect.boards.board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from gnomon.errors import OptionError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.live.board_coach import BoardCoach
 from gnomon.live.camera_session import CameraSession
 from gnomon.live.image_sources import SHOWN, CameraSource, ImageArrival, ImageSource, ReplayImages, open_image_source

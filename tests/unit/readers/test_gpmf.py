@@ -115,7 +115,7 @@ def test_rough_motion_averages_to_gravity_with_the_gyroscope_s_turns(real_data):
 
 
 def mean_in_one_frame(imu, sign):
-    from gnomon.geometry.rotation_vector import rotation_from_rotvec
+    from gnomon.geometry.rotations import rotation_from_rotvec
 
     step = float(np.mean(np.diff(imu.gyroscope.t_ns))) * 1e-9
     R, total = np.eye(3), np.zeros(3)

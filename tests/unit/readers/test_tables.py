@@ -7,7 +7,7 @@ import pytest
 
 from gnomon.errors import OptionError
 from gnomon.formats.shared.entries import value_text
-from gnomon.geometry.rotation_vector import invert_matrix
+from gnomon.geometry.rotations import invert_matrix
 from gnomon.models.forms import TedaldiAccelerometer
 from gnomon.results.calibration import (
     AccelerometerCalibration,

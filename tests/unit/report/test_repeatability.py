@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.calibrate.comparison import compare
 from gnomon.formats.foreign import ForeignCalibration
-from gnomon.geometry.quaternion import normalise_quaternion, rotation_from_quaternion
+from gnomon.geometry.rotations import normalise_quaternion, rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.report.comparison import comparison_page
 from gnomon.report.page import render_page

@@ -10,7 +10,7 @@ import pytest
 from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM_IMU, make_camera_imu_result
 from gnomon.cli.results import held_lines
 from gnomon.findings import Finding
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report.camera_imu.page import imu_section
 from gnomon.report.camera_imu.signals import rig_motion, signal_name, telling_section
 from gnomon.report.corners import corner_view, draw_residual_field, field_magnification

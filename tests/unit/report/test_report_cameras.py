@@ -9,7 +9,7 @@ import pytest
 
 from cameras_result import BOARD, LENSES, PIXEL_SIGMA, make_cameras_result, without_lens_covariance
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
 from gnomon.report.cameras.lens import (

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, marker_cells
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

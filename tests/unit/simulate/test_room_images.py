@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.simulate import RoomScenario, simulate_camera_imu
 from gnomon.simulate.images.room_images import Surfaces, furnished_room, render_room, room_images, texture_levels

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import OptionError, Scenario, simulate
-from gnomon.geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from gnomon.geometry.rotations import rk4n_steps, rotation_from_quaternion, running_products
 
 QUIET = Scenario(
     intervals=12,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, OptionError, simulate_camera_imu
-from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_streams import START_NS
 
 SHORT = CameraImuScenario(duration_s=6.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, OptionError, simulate_camera_imu
-from gnomon.geometry.rotation_vector import rotvec_from_rotation
+from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.simulate.camera_imu_streams import START_NS
 
 ONE = CameraImuScenario(duration_s=3.0)

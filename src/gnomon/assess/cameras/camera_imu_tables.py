@@ -22,7 +22,7 @@ from ...estimate.camera_imu.terms.inertial_terms import (
 from ...estimate.camera_imu.terms.visual_terms import exposure_times
 from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, KnotGrid, Places
 from ...frozen import value_class
-from ...geometry.quaternion import quaternion_from_rotation
+from ...geometry.rotations import quaternion_from_rotation
 from ...models.target import Target
 from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats, Recording

@@ -9,7 +9,7 @@ import numpy as np
 from ...estimate.camera_imu.choices import LADDER
 from ...estimate.camera_imu.start.first_guess import imu_stream
 from ...findings import Finding, list_first, make_finding
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rotvec_from_rotation
 from ...options.requirements import GENERAL_RIG
 from ...recording import Floats
 from ...results.calibration import Assessment, CameraImuFit

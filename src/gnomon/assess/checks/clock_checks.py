@@ -20,7 +20,7 @@ from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import nearest_rotation, rotation_from_rotvec, rotvec_from_rotation
+from ...geometry.rotations import nearest_rotation, rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers
 from .rig_axes import rate_at
 

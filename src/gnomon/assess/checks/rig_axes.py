@@ -22,8 +22,7 @@ from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_
 from ...estimate.camera_imu.start.board_poses import BoardPoses
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...frozen import value_class
-from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rk4n_steps, rotation_from_quaternion, rotvec_from_rotation, running_products
 from ...recording import Floats
 from ...results.result import Booleans
 from ...solve.lapack import solve_banded

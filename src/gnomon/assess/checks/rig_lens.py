@@ -16,7 +16,7 @@ import numpy as np
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses, thin_exposures
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew
+from ...geometry.rotations import skew
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers

@@ -8,7 +8,7 @@ from math import nan
 import numpy as np
 
 from ...errors import FormatError, OptionError
-from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ...geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers, frozen_array, recorded_hashes, shared_sources
 from .candidates import FRAME, ComparisonCandidate, at_common_origins, in_common_frame
 from .comparison import (

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...findings import Finding, join_names
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation, skew
+from ...geometry.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from ...models.camera import Camera
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import Provenance

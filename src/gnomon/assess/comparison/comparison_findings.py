@@ -8,7 +8,7 @@ import numpy as np
 
 from ...findings import Finding, join_names, make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, rotvec_from_rotation
+from ...geometry.rotations import invert_matrix, rotvec_from_rotation
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats, shared_sources
 from ...results.trust import Verdict

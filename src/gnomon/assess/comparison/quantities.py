@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, skew
+from ...geometry.rotations import invert_matrix, skew
 from ...models.forms import in_own_axes
 from ...models.frames import frame_turn, rotation_jacobian
 from ...options.requirements import BETWEEN_RECORDINGS

@@ -36,7 +36,7 @@ from ...estimate.multiposition.tedaldi import (
 )
 from ...findings import make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...options import ImuOptions
 from ...progress import Progress
 from ...recording import Floats, Recording, TriadSamples

@@ -23,7 +23,7 @@ from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import Alignment
 from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream, align_cameras
 from ...findings import Finding, make_finding
-from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from ...geometry.rotations import rk4n_steps, rotation_from_quaternion, running_products
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 

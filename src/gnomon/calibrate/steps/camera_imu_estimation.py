@@ -38,7 +38,7 @@ from ...estimate.multiposition.bias_functions import BENDS_K, WEAK_LAG_S
 from ...estimate.trust.changes import chi_square_tail, start_of_estimates
 from ...findings import Finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rotvec_from_rotation
 from ...options import CameraImuOptions
 from ...options.requirements import USUAL_SLOPE
 from ...progress import Progress

@@ -23,7 +23,7 @@ from ...estimate.camera_imu.terms.assembly import from_known
 from ...estimate.camera_imu.terms.inertial_terms import ImuBeforehand, InertialData, TriadData
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rotvec_from_rotation
 from ...models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
 from ...models.noise import consumer_mems
 from ...models.target import Target

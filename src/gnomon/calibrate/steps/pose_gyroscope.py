@@ -19,7 +19,7 @@ from ...estimate.triads.gyroscope_at_rests import (
 )
 from ...estimate.triads.triad import TriadFit
 from ...estimate.triads.triad_problem import B_, G_, S_, TriadPrior
-from ...geometry.rotation_vector import invert_matrix, nearest_rotation
+from ...geometry.rotations import invert_matrix, nearest_rotation
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import ImuOptions
 from ...recording import Floats

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import OptionError
-from ...geometry.rotation_vector import nearest_rotation
+from ...geometry.rotations import nearest_rotation
 from ...recording import Floats
 from ...results.calibration import Calibration, Covariance, ImuCalibration, calibration_parameters, rotate_imu
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.rotation_vector import nearest_rotation
+from ...geometry.rotations import nearest_rotation
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers, frozen_array

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rotvec_from_rotation
 from ...options import CameraImuOptions, stated_prior
 from ...recording import Floats, Integers
 from ...results.trust import BlockChange, ModelStep

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, right_jacobian, rotation_from_rotvec, rotvec_from_rotation
+from ...geometry.rotations import invert_matrix, right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers, KnownRig
 from .parameters import OFFSETS, CameraParameters, ImuParameters, RigParameters
 

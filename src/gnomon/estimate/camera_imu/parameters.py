@@ -8,7 +8,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import tangent_basis
+from ...geometry.rotations import tangent_basis
 from ...models.camera import Camera
 from ...models.forms import DIAGONAL, LOWER
 from ...models.frames import Origin

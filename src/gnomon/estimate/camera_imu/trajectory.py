@@ -12,7 +12,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.bspline import bspline_basis
-from ...geometry.rotation_vector import angular_acceleration_by_phi, body_rotation, skew
+from ...geometry.rotations import angular_acceleration_by_phi, body_rotation, skew
 from ...recording import Floats, Integers
 
 POSE = 6

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec, skew
+from ...geometry.rotations import rotation_from_rotvec, skew
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers

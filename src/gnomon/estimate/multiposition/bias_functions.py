@@ -16,7 +16,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...options.requirements import USUAL_SLOPE
 from ...recording import Floats, Integers
 from ...results.result import Booleans

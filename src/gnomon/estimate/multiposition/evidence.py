@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, tangent_basis
+from ...geometry.rotations import invert_matrix, tangent_basis
 from ...recording import Floats, Integers
 from ...recording.samples import distinct_values
 from ...results.result import Booleans

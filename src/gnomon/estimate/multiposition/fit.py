@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InitialisationError, SolveError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...recording.samples import median_of

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from ...geometry.rotations import rk4n_steps, rotation_from_quaternion, running_products
 from ...kernel import load_kernel
 from ...kernel.library import integrate_segments
 from ...recording import Floats, Integers, frozen_array

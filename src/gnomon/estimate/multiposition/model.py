@@ -17,7 +17,7 @@ is then that of one segment). What an accelerometer's bias does matters at rest 
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew, tangent_basis
+from ...geometry.rotations import skew, tangent_basis
 from ...recording import Floats, Integers
 from ...solve.least_squares import ArrowSystem, column_products
 from .bias_changes import RestMeans

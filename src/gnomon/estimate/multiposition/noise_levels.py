@@ -15,7 +15,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...recording import Floats
 from ...recording.samples import median_of
 from ...results.result import Booleans

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import SolveError
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew
+from ...geometry.rotations import skew
 from ...recording import Floats
 from ...results.result import StaticIntervals, interval_means
 from ...solve.least_squares import levenberg_marquardt

@@ -30,7 +30,7 @@ from statistics import NormalDist
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew, tangent_basis
+from ...geometry.rotations import skew, tangent_basis
 from ...recording import Floats, Integers
 from ...recording.samples import distinct_values, median_of, quantile_of
 from ...results.result import Booleans

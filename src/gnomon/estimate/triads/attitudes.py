@@ -20,7 +20,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, nearest_rotation, rotation_from_rotvec, skew
+from ...geometry.rotations import invert_matrix, nearest_rotation, rotation_from_rotvec, skew
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration
 from ...results.result import Booleans

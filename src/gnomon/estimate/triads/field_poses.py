@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from .triad_start import Ellipsoid, constrained_ellipsoid, general_ellipsoid

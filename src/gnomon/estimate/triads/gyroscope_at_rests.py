@@ -26,7 +26,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, skew, tangent_basis
+from ...geometry.rotations import invert_matrix, skew, tangent_basis
 from ...recording import Floats, Integers, frozen_array
 from ...results.result import Booleans
 from ..multiposition.measurements import MotionSegments, integrate_rates, propagate_directions

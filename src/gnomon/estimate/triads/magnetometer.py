@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from ...results.sensors import element_names

@@ -26,7 +26,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...recording import Floats, Integers
 from ...results.result import Booleans
 from .triad_problem import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior, TriadProblem, known_magnitudes, true_vectors

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix
+from ...geometry.rotations import invert_matrix
 from ...recording import Floats, Integers, frozen_array
 from ...results.result import Booleans
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.rotation_vector import invert_matrix, nearest_rotation
+from ...geometry.rotations import invert_matrix, nearest_rotation
 from ...recording import Floats
 from ...results.result import Booleans
 from .triad_problem import B_, G_, PARAMETERS, S_, TriadPrior, TriadProblem, known_magnitudes, noise_at, true_vectors

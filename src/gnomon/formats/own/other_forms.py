@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from ...errors import FormatError, OptionError
-from ...geometry.rotation_vector import rotation_from_rotvec
+from ...geometry.rotations import rotation_from_rotvec
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.projections import PROJECTIONS

@@ -6,8 +6,7 @@ from math import floor, isfinite, log10
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.quaternion import quaternion_from_rotation
-from ...geometry.rotation_vector import skew
+from ...geometry.rotations import quaternion_from_rotation, skew
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.forms import (

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, OptionError
-from ...geometry.quaternion import normalise_quaternion, rotation_from_quaternion
-from ...geometry.rotation_vector import inverse_pose
+from ...geometry.rotations import inverse_pose, normalise_quaternion, rotation_from_quaternion
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName

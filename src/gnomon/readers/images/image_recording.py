@@ -12,7 +12,7 @@ from ...formats.kalibr.imu import ImuInput
 from ...formats.shared.foreign_yaml import read_foreign_yaml, read_transform
 from ...formats.shared.structured import Node
 from ...frozen import value_class
-from ...geometry.rotation_vector import inverse_pose
+from ...geometry.rotations import inverse_pose
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array

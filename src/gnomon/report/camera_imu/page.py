@@ -6,7 +6,7 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.rotations import rotvec_from_rotation
 from ...recording import Floats
 from ...results.calibration import Calibration, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics

@@ -5,8 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.quaternion import rotation_from_quaternion
-from ...geometry.rotation_vector import tangent_basis
+from ...geometry.rotations import rotation_from_quaternion, tangent_basis
 from ...recording import Floats
 from ...results.camera_diagnostics import BiasTrack, SceneMap, SignalFit, TrajectoryTrack
 from ..corners import TIMES, time_spans

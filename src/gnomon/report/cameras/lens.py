@@ -7,7 +7,7 @@ import numpy as np
 
 from ...assess.cameras.cameras_tables import CELLS
 from ...frozen import value_class
-from ...geometry.rotation_vector import skew
+from ...geometry.rotations import skew
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Calibration

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
+from ...geometry.rotations import rotation_from_rotvec
 from ...recording import Floats
 from ...results.calibration import Calibration
 from ..numbers import number_text

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
+from ...geometry.rotations import rotation_from_rotvec
 from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
 from ...recording import Floats

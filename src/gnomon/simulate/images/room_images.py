@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotation_vector import rotation_from_rotvec
+from ...geometry.rotations import rotation_from_rotvec
 from ...models.camera import Camera
 from ...recording import Floats
 from ...recording.frames import Frame, Grey, ImageStream

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rotation_vector import skew
+from ....geometry.rotations import skew
 from ....models.forms import DIAGONAL, FULL, LOWER
 from ....models.frames import EVEN_WEIGHTS, Origin
 from ....recording import Floats, Integers

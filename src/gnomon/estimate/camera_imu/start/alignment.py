@@ -13,7 +13,7 @@ import numpy as np
 
 from ....errors import InitialisationError
 from ....frozen import value_class
-from ....geometry.rotation_vector import nearest_rotation, rotvec_from_rotation
+from ....geometry.rotations import nearest_rotation, rotvec_from_rotation
 from ....recording import Floats
 from .board_poses import BoardPoses
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rotation_vector import rotation_from_rotvec
+from ....geometry.rotations import rotation_from_rotvec
 from ....models.camera import Camera
 from ....models.target import Target
 from ....recording import CameraFrames, Floats, Integers

@@ -24,11 +24,13 @@ import numpy as np
 from ....errors import InitialisationError, OptionError
 from ....frozen import value_class
 from ....geometry.bspline import bspline_basis
-from ....geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
-from ....geometry.rotation_vector import (
+from ....geometry.rotations import (
     nearest_branch,
+    rk4n_steps,
+    rotation_from_quaternion,
     rotation_from_rotvec,
     rotvec_from_rotation,
+    running_products,
     skew,
     unwrap_rotvecs,
 )

@@ -23,7 +23,7 @@ import numpy as np
 
 from ....errors import InitialisationError, OptionError
 from ....frozen import value_class
-from ....geometry.rotation_vector import acceleration_by_place
+from ....geometry.rotations import acceleration_by_place
 from ....recording import Floats, ImuSamples
 from ..choices import kept_or_prior
 from ..layout import Status

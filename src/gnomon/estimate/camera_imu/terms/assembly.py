@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rotation_vector import invert_matrix, right_jacobian, rotvec_from_rotation, skew
+from ....geometry.rotations import invert_matrix, right_jacobian, rotvec_from_rotation, skew
 from ....kernel import library
 from ....recording import Floats, Integers, KnownRig
 from ....solve.bordered_band import BorderedBand

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rotation_vector import acceleration_by_place, along_axes, skew
+from ....geometry.rotations import acceleration_by_place, along_axes, skew
 from ....models.forms import DIAGONAL, FULL, LOWER
 from ....recording import Floats
 from ..parameters import RigParameters

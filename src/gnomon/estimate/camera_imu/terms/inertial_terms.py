@@ -27,7 +27,7 @@ import numpy as np
 
 from ....frozen import value_class
 from ....geometry.bspline import basis_polynomials
-from ....geometry.rotation_vector import acceleration_by_place, along_axes
+from ....geometry.rotations import acceleration_by_place, along_axes
 from ....kernel import library
 from ....models.forms import LOWER
 from ....models.noise import ImuNoise

@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.rotation_vector import skew
+from ....geometry.rotations import skew
 from ....kernel import library
 from ....models.camera import Camera
 from ....recording import Floats, Integers
