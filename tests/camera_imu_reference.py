@@ -11,7 +11,7 @@ import numpy as np
 
 from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState
 from gnomon.estimate.camera_imu.layout import BorderLayout
-from gnomon.geometry.bspline import basis_matrix
+from gnomon.estimate.camera_imu.trajectory import basis_matrix
 
 STEP = 1e-30
 SMOOTHNESS = 1e3  # rad/s^2 and m/s^2

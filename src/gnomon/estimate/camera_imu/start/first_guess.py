@@ -23,7 +23,6 @@ import numpy as np
 
 from ....errors import InitialisationError, OptionError
 from ....frozen import value_class
-from ....geometry.bspline import bspline_basis
 from ....geometry.rotations import (
     nearest_branch,
     rk4n_steps,
@@ -45,7 +44,7 @@ from ..layout import Status
 from ..parameters import BoardPoints, CameraParameters, ImuParameters, RigParameters, gravity_axes
 from ..terms.inertial_terms import InertialData
 from ..terms.visual_terms import Exposures
-from ..trajectory import BIAS, MARGIN_S, KnotGrid, Segment, Trajectory
+from ..trajectory import BIAS, MARGIN_S, KnotGrid, Segment, Trajectory, bspline_basis
 from .alignment import Alignment, align_camera, gyroscope_integral
 from .board_poses import BoardPoses, averaged_derivative, averaged_readings, board_poses, camera_accelerations
 

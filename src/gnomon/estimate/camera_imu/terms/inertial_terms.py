@@ -26,7 +26,6 @@ from itertools import pairwise
 import numpy as np
 
 from ....frozen import value_class
-from ....geometry.bspline import basis_polynomials
 from ....geometry.rotations import acceleration_by_place, along_axes
 from ....kernel import library
 from ....models.forms import LOWER
@@ -34,7 +33,7 @@ from ....models.noise import ImuNoise
 from ....recording import Floats, Integers
 from ..layout import BorderLayout, Status
 from ..parameters import ImuParameters, RigParameters
-from ..trajectory import BIAS, MARGIN_S, POSE, Bases, KnotGrid, MotionState, Places, Trajectory
+from ..trajectory import BIAS, MARGIN_S, POSE, Bases, KnotGrid, MotionState, Places, Trajectory, basis_polynomials
 from .assembly import TRIAD, Columns
 from .inertial_rows import InertialRows
 

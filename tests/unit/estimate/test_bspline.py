@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from gnomon.geometry.bspline import basis_matrix, bspline_basis
+from gnomon.estimate.camera_imu.trajectory import basis_matrix, bspline_basis
 
 ORDERS = range(1, 8)
 
