@@ -2,7 +2,8 @@
 
     python benchmarks/entered.py imu RECORDING -o FOLDER
 
-Also --list tells the files. Bodies of classes and modules, which run when a file is loaded, do not count as calls.
+Also --list tells the files. Bodies of classes and modules, which run when a file is loaded, do not count as calls; nor
+do comprehensions, generator expressions and lambdas, which belong to the function or the module around them.
 """
 
 import sys
@@ -21,8 +22,9 @@ def files_entered(words: list[str]) -> tuple[set[str], Counter[str]]:
     calls = Counter[str]()
 
     def count(frame: FrameType, event: str, _: object) -> None:
-        if event == "call" and frame.f_code.co_flags & OPTIMIZED:
-            calls[frame.f_code.co_filename] += 1
+        code = frame.f_code
+        if event == "call" and code.co_flags & OPTIMIZED and not code.co_name.startswith("<"):
+            calls[code.co_filename] += 1
 
     sys.argv = ["gnomon", *words]
     sys.setprofile(count)

@@ -166,7 +166,7 @@ from gnomon.recording import Recording
 from gnomon.report.page import write_report
 from gnomon.writers.kalibr_files import save_camera_imu_files
 from gnomon.formats.own.calibration_text import save
-from gnomon.writers.diagnostics_file import save_diagnostics
+from gnomon.results.result import save_diagnostics
 from dataclasses import replace
 mark("importing what is needed")
 known, noise = read_cameras(folder / "camchain.yaml")["cam0"], read_imus(folder / "imu.yaml")["imu0"]

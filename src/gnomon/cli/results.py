@@ -45,7 +45,7 @@ def exit_code(calibration: "Calibration") -> int:
 def write_result(result: "Result", folder: Path, *, report: bool, terminal: Terminal) -> None:
     """Write calibration, diagnostics and, where wanted, the report; the terminal keeps what was calibrated."""
     from ..formats.own.calibration_text import save
-    from ..writers.diagnostics_file import save_diagnostics
+    from ..results.result import save_diagnostics
 
     save(result.calibration, folder / "calibration.yaml")
     save_diagnostics(result.diagnostics, folder / "diagnostics.npz")

@@ -15,7 +15,7 @@ from gnomon.options.requirements import BETWEEN_RECORDINGS, USES
 from gnomon.readers.recordings import read_several
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.report.page import write_report
-from gnomon.writers.diagnostics_file import save_diagnostics
+from gnomon.results.result import save_diagnostics
 from html_page import Page
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)

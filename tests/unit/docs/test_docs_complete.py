@@ -35,10 +35,10 @@ from gnomon.readers.samples.poses import pose_column
 from gnomon.recording import FrameQuality
 from gnomon.results.calibration import calibration_parameters
 from gnomon.results.camera_diagnostics import SceneMap
+from gnomon.results.result import diagnostic_arrays
 from gnomon.results.trust import ParameterChange, WeakDirection
 from gnomon.study.circuit import PROBES
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from gnomon.writers.diagnostics_file import diagnostic_arrays
 from support.faults import fault_named, faults
 
 SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)

@@ -9,8 +9,7 @@ import pytest
 from camera_imu_result import make_camera_imu_result
 from gnomon.report.camera_images import images_section
 from gnomon.report.page import write_report
-from gnomon.results.result import Result
-from gnomon.writers.diagnostics_file import save_diagnostics
+from gnomon.results.result import Result, save_diagnostics
 
 
 @pytest.fixture(scope="module")

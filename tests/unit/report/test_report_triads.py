@@ -13,9 +13,8 @@ from gnomon.report.certificate import parameter_groups
 from gnomon.report.numbers import magnitude_text, magnitude_unit
 from gnomon.report.page import write_report
 from gnomon.report.static.vectors import _covered, _labels
-from gnomon.results.result import Result
+from gnomon.results.result import Result, save_diagnostics
 from gnomon.results.sensors import ImuCalibration
-from gnomon.writers.diagnostics_file import save_diagnostics
 from html_page import Page
 
 KINDS = list(triad_result.RESULTS)

@@ -10,8 +10,8 @@ from gnomon.cli.results import trust_lines
 from gnomon.report.page import Figure, Prose, ReportTable
 from gnomon.report.trust import trust_section
 from gnomon.results.calibration import Assessment
+from gnomon.results.result import diagnostic_arrays
 from gnomon.results.trust import Clusters, Trust, UncertaintySummary
-from gnomon.writers.diagnostics_file import diagnostic_arrays
 from trust_example import NEED, example_trust
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from camera_imu_result import make_camera_imu_result
-from gnomon.writers.diagnostics_file import save_diagnostics
+from gnomon.results.result import save_diagnostics
 
 
 def test_every_field_is_there_and_reads_back(make_result, tmp_path):
