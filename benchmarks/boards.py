@@ -27,7 +27,7 @@ from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumber_vi
 from gnomon.detect.boards.circlegrid import detect_circlegrid  # noqa: E402
 from gnomon.models.target import Target  # noqa: E402
 from gnomon.recording import Floats  # noqa: E402
-from gnomon.recording.frames import Grey  # noqa: E402
+from gnomon.recording.recording import Grey  # noqa: E402
 from rendered import Ranges, rendered_views  # noqa: E402
 
 Detector = Callable[[Grey, Target], BoardView]

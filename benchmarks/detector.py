@@ -35,7 +35,7 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.detect.boards.board import BoardView
 from gnomon.detect.boards.checkerboard import detect_checkerboard
 from gnomon.models.target import Target
-from gnomon.recording.frames import Grey
+from gnomon.recording.recording import Grey
 from rendered import Ranges, rendered_views
 
 Detector = Callable[[Grey, Target], BoardView]

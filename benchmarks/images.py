@@ -35,8 +35,7 @@ from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras
 from gnomon.models.target import Target
 from gnomon.readers.images.image_recording import open_images
-from gnomon.recording.frames import Frame
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import Frame, ImageRecording
 
 RUNS = 3
 RATE_HZ = 20.0

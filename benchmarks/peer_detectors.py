@@ -13,7 +13,7 @@ import numpy as np
 from gnomon.detect.boards.board import BoardView, nothing_seen
 from gnomon.models.target import Target
 from gnomon.recording import Floats
-from gnomon.recording.frames import Grey
+from gnomon.recording.recording import Grey
 
 Detector = Callable[[Grey, Target], BoardView]
 

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 from imu import HERE, Table, machine
 
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.recording.frames import ImageStream
+from gnomon.recording.recording import ImageStream
 from gnomon.simulate import RoomScenario
 from gnomon.simulate.images.board_images import simulated_images
 from gnomon.simulate.images.room_images import room_images

@@ -9,7 +9,7 @@ import numpy as np
 from gnomon.detect.boards.board import BoardView
 from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers
-from gnomon.recording.frames import Grey
+from gnomon.recording.recording import Grey
 
 WRONG_PX, WRONG = 2.0, 0.25
 """A corner that is farther than both from where it truly is, in px and in tags, is a wrong one."""

@@ -22,8 +22,7 @@ from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.geometry.rotations import rotvec_from_rotation
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import Floats
-from gnomon.recording.frames import ImageStream
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import ImageRecording, ImageStream
 from gnomon.results.calibration import Calibration
 from gnomon.writers.bag_recording import save_bag
 from gnomon.writers.image_folders import save_euroc

@@ -12,7 +12,7 @@ from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers
-from gnomon.recording.frames import Grey
+from gnomon.recording.recording import Grey
 from gnomon.simulate.images.clutter import cluttered_wall
 from gnomon.simulate.images.rendering import Optics, render_board
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.cli import main
-from gnomon.recording.frames import Grey
+from gnomon.recording.recording import Grey
 from gnomon.writers.image_folders import save_video
 
 USAGE, BAD_INPUT = 2, 3

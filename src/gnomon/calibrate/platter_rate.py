@@ -12,7 +12,7 @@ from ..progress import Progress
 from ..readers.images.image_files import video_place
 from ..readers.images.image_recording import holds_images, open_images
 from ..readers.recordings import ReadLog
-from ..recording.frames import ImageStream
+from ..recording.recording import ImageStream
 from ..units import Units
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..frozen import value_class
 from ..models.camera import Camera
 from ..recording import Floats, Integers
-from ..recording.frames import Grey
+from ..recording.recording import Grey
 
 _SIDE = 95
 """Side of a piece [px]; OpenCV looks up at most 32767 rows, those of 344 pieces."""

@@ -18,7 +18,7 @@ from ..frozen import value_class
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
-from ..recording.frames import Grey
+from ..recording.recording import Grey
 from .faults import Fault
 from .trials import TrialOutcome
 

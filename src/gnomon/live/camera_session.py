@@ -17,7 +17,7 @@ from ..detect.boards.worker import BoardFinder, BoardProcess, ProcessLostError
 from ..errors import GnomonError
 from ..models.target import Target
 from ..recording import CameraFrames, Recording
-from ..recording.frames import Grey
+from ..recording.recording import Grey
 from .board_coach import BoardCoach, BoardState
 from .faults import Fault
 from .image_sources import ImageArrival, ImageSource

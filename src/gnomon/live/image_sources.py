@@ -14,8 +14,7 @@ from ..errors import OptionError, RecordingError
 from ..formats.own.dataclass_file import read_options
 from ..models.target import Target
 from ..readers.images.image_recording import open_images
-from ..recording.frames import Frame, Grey
-from ..recording.recording import ImageRecording
+from ..recording.recording import Frame, Grey, ImageRecording
 from ..simulate import CameraImuScenario, simulate_camera_imu
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.cameras import simulate_cameras

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ..errors import OutputError
-from ..recording.frames import Grey
+from ..recording.recording import Grey
 
 DAMAGED = "damaged.bin"
 """File of what arrived damaged; readers pass it over."""

@@ -1,7 +1,15 @@
 """What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
 
-from .frames import CameraFrames, FrameQuality, KnownRig
-from .recording import Piece, Recording, Source, recorded_hashes, shared_sources
+from .recording import (
+    CameraFrames,
+    FrameQuality,
+    KnownRig,
+    Piece,
+    Recording,
+    Source,
+    recorded_hashes,
+    shared_sources,
+)
 from .samples import (
     Floats,
     ImuSamples,

@@ -26,8 +26,7 @@ from ..frozen import value_class
 from ..output import files_together
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
-from ..recording.frames import Arrivals, Frame, Grey, ImageStream
-from ..recording.recording import ImageRecording
+from ..recording.recording import Arrivals, Frame, Grey, ImageRecording, ImageStream
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from ..output import atomic_file, whole_folder
 from ..processes import results_ahead
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, Integers
-from ..recording.frames import Frame, Grey, ImageStream
-from ..recording.recording import ImageRecording
+from ..recording.recording import Frame, Grey, ImageRecording, ImageStream
 
 _FRAMES = "#timestamp [ns],filename\n"
 _SAMPLES = (

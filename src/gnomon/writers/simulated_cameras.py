@@ -35,8 +35,7 @@ from ..models.camera import Camera
 from ..output import atomic_file, write_whole
 from ..progress import Progress
 from ..recording import CameraFrames, ImuSamples, Recording
-from ..recording.frames import Frame, Grey
-from ..recording.recording import ImageRecording
+from ..recording.recording import Frame, Grey, ImageRecording
 from ..results.camera_diagnostics import TrajectoryTrack
 from ..simulate.camera_imu import CameraImuSimulation, MotionStatistics
 from ..simulate.cameras import CamerasSimulation

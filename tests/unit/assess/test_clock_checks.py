@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.assess.checks.clock_checks import check_epochs
 from gnomon.assess.checks.recorder_clocks import check_clocks, fit_clock
-from gnomon.recording.frames import Arrivals
+from gnomon.recording.recording import Arrivals
 
 EPOCH = 1_600_000_000_000_000_000
 BAD = {"warning", "problem"}

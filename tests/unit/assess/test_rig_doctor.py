@@ -10,8 +10,7 @@ from gnomon.assess.checks.rig_doctor import check_rig
 from gnomon.errors import RecordingError
 from gnomon.models.target import Target
 from gnomon.recording import ImuSamples, TriadSamples
-from gnomon.recording.frames import Arrivals, Frame, ImageStream
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import Arrivals, Frame, ImageRecording, ImageStream
 from rendered import Ranges, euroc_camera, rendered_views
 
 BOARD = Target.aprilgrid(tag_cols=4, tag_rows=3, tag_size_m=0.088, tag_spacing=0.3)

@@ -14,7 +14,7 @@ from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Source
-from gnomon.recording.frames import Frame, Grey, ImageStream
+from gnomon.recording.recording import Frame, Grey, ImageStream
 from gnomon.simulate.images.rendering import render_board
 from rendered import FACING
 
@@ -223,8 +223,7 @@ def test_a_camera_clock_that_drifts_is_found_when_a_bag_is_read(views, monkeypat
     """Where the recorder's clock is known: the camera's clock is 500 ppm slow, the IMU's is right."""
     from gnomon.calibrate.steps import camera_imu_reading
     from gnomon.recording import ImuSamples, TriadSamples
-    from gnomon.recording.frames import Arrivals
-    from gnomon.recording.recording import ImageRecording
+    from gnomon.recording.recording import Arrivals, ImageRecording
 
     t_ns = np.arange(0, 60_000_000_000, 50_000_000)
     late = np.random.default_rng(0).exponential(1e6, len(t_ns)).astype(np.int64)

@@ -12,7 +12,7 @@ from gnomon.detect.platter.rate import platter_rate
 from gnomon.detect.platter.steady import DeviationMeans, PhaseLine, even_rate, longest_run, steady_blocks
 from gnomon.detect.platter.turn import missing_frames, rate_by_jitter, stamps_are_nominal
 from gnomon.errors import DetectionError, OptionError, RecordingError
-from gnomon.recording.frames import Frame, ImageStream
+from gnomon.recording.recording import Frame, ImageStream
 from gnomon.simulate.images.platter_video import simulate_platter_video
 from gnomon.writers.image_folders import save_video
 from platter_videos import HARD, HOPELESS, RPM, scenario

@@ -17,8 +17,7 @@ from gnomon.live.sources import Pace
 from gnomon.live.trials import TrialOutcome, Trials, try_calibration
 from gnomon.models.camera import Camera
 from gnomon.readers.images.image_recording import open_images
-from gnomon.recording.frames import Frame, ImageStream
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import Frame, ImageRecording, ImageStream
 from gnomon.simulate.cameras import simulate_cameras
 from support.live_images import GREY, STATISTICS, views_of
 

@@ -8,8 +8,7 @@ import pytest
 from gnomon import CameraFrames, FrameSelection, OptionError, Recording, RecordingError
 from gnomon.models.camera import Camera
 from gnomon.readers.images.frame_stamps import select_frames, select_images
-from gnomon.recording.frames import Arrivals, Frame, FrameQuality, ImageStream
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import Arrivals, Frame, FrameQuality, ImageRecording, ImageStream
 
 CAMERA = Camera(
     projection="pinhole",

@@ -11,8 +11,7 @@ from gnomon.errors import OutputError, RecordingError
 from gnomon.readers.bags.bag import open_bag
 from gnomon.readers.bags.salvage import Outcome, read_records
 from gnomon.recording import ImuSamples, TriadSamples
-from gnomon.recording.frames import Arrivals, Frame, ImageStream
-from gnomon.recording.recording import ImageRecording
+from gnomon.recording.recording import Arrivals, Frame, ImageRecording, ImageStream
 from gnomon.writers.bag_recording import save_bag
 
 T0 = 1_403_636_579_758_555_393

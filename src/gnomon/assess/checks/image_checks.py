@@ -21,7 +21,7 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...recording import CameraFrames, Floats, FrameQuality, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 
 Booleans = NDArray[np.bool_]
 

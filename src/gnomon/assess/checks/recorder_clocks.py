@@ -13,7 +13,7 @@ import numpy as np
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats
-from ...recording.frames import Arrivals
+from ...recording.recording import Arrivals
 from .clock_checks import drift_finding, unit_factor, zero_stamps
 
 _FEWEST = 20

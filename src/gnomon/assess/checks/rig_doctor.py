@@ -16,8 +16,7 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
 from ...recording import CameraFrames, FrameQuality, ImuSamples, Integers, Recording
-from ...recording.frames import Frame, Grey, ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import Frame, Grey, ImageRecording, ImageStream
 from .board_views import FEWEST_CORNERS, BoardSightings, board_sightings, check_handedness
 from .clock_checks import check_epochs
 from .image_checks import (

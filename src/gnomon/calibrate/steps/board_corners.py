@@ -26,7 +26,7 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...progress import Progress, Step
 from ...recording import CameraFrames, FrameQuality
-from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import Frame, Grey, ImageStream
 
 Processes = SimpleQueue[BoardProcess]
 

@@ -26,8 +26,7 @@ from ...readers.images.image_recording import open_images
 from ...readers.rig.corner_frames import read_corner_recording
 from ...readers.rig.streams import holds_corners, recording_folder, with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
-from ...recording.frames import ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import ImageRecording, ImageStream
 from ...units import Units
 from .camera_reading import Progress, read_camera_corners, stated_cameras
 

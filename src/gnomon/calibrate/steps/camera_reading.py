@@ -37,8 +37,7 @@ from ...readers.rig.corner_frames import folder_corners
 from ...readers.rig.streams import corner_streams, holds_corners, recording_folder
 from ...readers.samples.npz import refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Recording, Source
-from ...recording.frames import ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import ImageRecording, ImageStream
 from ...units import Units
 from .board_corners import BoardCorners, CameraImages, detect_corners
 

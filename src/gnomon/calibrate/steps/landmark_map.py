@@ -31,7 +31,7 @@ from ...models.target import Target
 from ...processes import results_ahead
 from ...progress import Progress, Step, tell_parts
 from ...recording import CameraFrames, Floats, ImuSamples, Integers
-from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import Frame, Grey, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _KEYS_HZ = 5.0

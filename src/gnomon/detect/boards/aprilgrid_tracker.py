@@ -17,7 +17,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of
 from .checkerboard import checkerboard_search_scale, reduce_image

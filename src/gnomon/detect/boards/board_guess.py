@@ -11,7 +11,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import DIFFERS
 from .checkerboard import board_near, checkerboard_search_scale, fill_grid, reduce_image
 from .discs import disc_lattices, find_discs

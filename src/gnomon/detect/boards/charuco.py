@@ -19,7 +19,7 @@ from ...models.board_pattern import black_square, marker_cells
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .corner_fit import fit_corners
 from .corner_windows import CornerFits, join_corner_fits

@@ -20,7 +20,7 @@ from ...frozen import value_class
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import SECOND_BOARD, BoardView, comes_first, middle_of, nothing_seen
 from .corner_fit import fit_corners
 from .lattice import Lattice, carry_corners, find_lattices, find_saddles, squared_distances

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import NOT_WITH_NEIGHBOURS, SECOND_BOARD, BoardView, comes_first, nothing_seen
 from .checkerboard import reduce_image
 from .discs import DiscFits, Discs, disc_lattices, find_discs, fit_discs, grids_in

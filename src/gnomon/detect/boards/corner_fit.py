@@ -25,7 +25,7 @@ import numpy as np
 from ...kernel import load_kernel
 from ...kernel.library import MOST_PIXELS, descend_corners
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .corner_windows import (
     DAMPING,
     SATURATED,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...frozen import field_names, value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 
 Singles = NDArray[np.floating[Any]]
 SATURATED = 255

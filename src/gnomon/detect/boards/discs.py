@@ -27,7 +27,7 @@ from scipy.spatial import KDTree
 from ...frozen import value_class
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .corner_windows import PointFits, Singles, damp_diagonals, normal_distribution, pack_rows
 from .lattice import Lattice, laid_out
 from .marker_boards import black_limits

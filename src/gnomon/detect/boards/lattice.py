@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 
 _WINDOW, _LEVELS, _STEPS, _STEP_PX = 13, 2, 15, 0.05
 Singles = NDArray[np.float32]

@@ -16,7 +16,7 @@ import numpy as np
 from ...frozen import value_class
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import BoardView, middle_of, nothing_seen
 from .corner_windows import CornerFits, PointFits
 from .plane_map import LensGuess, PlaneMap, correct_corners

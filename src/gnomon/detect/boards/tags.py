@@ -22,7 +22,7 @@ from ...frozen import value_class
 from ...models.board_pattern import black_square, marker_cells
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .lattice import Lattice, find_lattices, find_saddles
 
 BITS = 6

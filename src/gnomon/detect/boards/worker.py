@@ -14,7 +14,7 @@ from typing import Any
 
 from ...models.target import Target
 from ...processes import python_command, python_environment
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from .board import BoardView
 
 Detector = Callable[[Grey], BoardView]

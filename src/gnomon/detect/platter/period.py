@@ -11,7 +11,7 @@ from ...errors import RecordingError
 from ...frozen import value_class
 from ...progress import Progress, Step
 from ...recording import Floats, frozen_array
-from ...recording.frames import ImageStream
+from ...recording.recording import ImageStream
 
 Pictures = NDArray[np.float32]
 

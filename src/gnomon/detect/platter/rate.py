@@ -11,7 +11,7 @@ from ...findings import Finding
 from ...frozen import value_class
 from ...progress import Progress
 from ...recording import Floats, frozen_array
-from ...recording.frames import ImageStream
+from ...recording.recording import ImageStream
 from .period import PictureSeries, RoughPeriod, read_pictures, rough_periods
 from .phase import COARSE_HARMONICS, Followed, agreeing_share, follow_repetition, learn_template, refine_phases
 from .steady import PhaseLine, blocks_of, even_rate

@@ -17,8 +17,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...frozen import value_class
 from ...recording import ImuSamples, Source, TriadSamples, measurable_numbers
-from ...recording.frames import Frame, Grey, ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import Frame, Grey, ImageRecording, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..files import file_source
 from ..images.image_pixels import compressed_image, grey_image

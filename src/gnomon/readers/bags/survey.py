@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...progress import tell_parts
 from ...recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples
-from ...recording.frames import Arrivals
+from ...recording.recording import Arrivals
 from ..images.image_pixels import (
     bit_depth,
     check_compression,

@@ -14,8 +14,7 @@ from ...errors import RecordingError
 from ...frozen import value_class
 from ...options import FrameSelection
 from ...recording import Integers, Recording, Source
-from ...recording.frames import Frame, ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import Frame, ImageRecording, ImageStream
 from ...units import TIME_UNITS_NS
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns

@@ -19,7 +19,7 @@ from ...errors import RecordingError
 from ...frozen import value_class
 from ...output import refuse_special
 from ...recording import Integers, Source, frozen_array
-from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import Frame, Grey, ImageStream
 from ..files import is_mp4_head
 from ..recordings import ReadLog
 from .frame_stamps import (

@@ -19,7 +19,7 @@ from ...errors import RecordingError
 from ...frozen import value_class
 from ...kernel import load_kernel
 from ...kernel.library import undo_png_filters
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 
 Buffer = bytes | memoryview
 _ISAL_ERROR: type[Exception] = isal_zlib.error  # pyright: ignore[reportAssignmentType]  # its stub says Exception

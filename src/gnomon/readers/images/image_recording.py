@@ -16,8 +16,7 @@ from ...geometry.rotations import inverse_pose
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array
-from ...recording.frames import ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import ImageRecording, ImageStream
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf

@@ -16,7 +16,7 @@ from av.error import FFmpegError
 from ...errors import RecordingError
 from ...frozen import value_class
 from ...recording import Integers
-from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import Frame, Grey, ImageStream
 from ..files import file_source, is_mp4_head
 from ..recordings import ReadLog
 from .frame_stamps import FrameTable, read_frame_table

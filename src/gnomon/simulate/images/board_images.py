@@ -12,8 +12,7 @@ from ...geometry.rotations import rotation_from_rotvec
 from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
 from ...recording import Floats
-from ...recording.frames import Frame, Grey, ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
 from ..cameras import CamerasSimulation
 from .board_outlines import TrueBoard

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
-from ...recording.frames import Frame, Grey, ImageStream
+from ...recording.recording import Frame, Grey, ImageStream
 from ..scenarios.turntable import PlatterScenario
 
 Shades = NDArray[np.float32]

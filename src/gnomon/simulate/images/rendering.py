@@ -14,7 +14,7 @@ from ...frozen import value_class
 from ...models.board_pattern import BoardPattern
 from ...models.camera import Booleans, Camera
 from ...recording import Floats
-from ...recording.frames import Grey
+from ...recording.recording import Grey
 from ..scenarios.cameras import RenderedImages
 from .board_outlines import (
     InstantPoses,

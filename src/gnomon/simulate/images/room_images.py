@@ -19,8 +19,7 @@ from ...frozen import value_class
 from ...geometry.rotations import rotation_from_rotvec
 from ...models.camera import Camera
 from ...recording import Floats
-from ...recording.frames import Frame, Grey, ImageStream
-from ...recording.recording import ImageRecording
+from ...recording.recording import Frame, Grey, ImageRecording, ImageStream
 from ..camera_imu import CameraImuSimulation
 from ..scenarios.camera_imu import RoomScenario, Surface
 from ..walk import half_axes
