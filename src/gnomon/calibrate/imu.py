@@ -12,57 +12,75 @@ import numpy as np
 from ..assess.changes import with_changes
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
-from ..assess.imu.recording_changes import axes_changed_findings
 from ..assess.observability import known_of, weak_directions
-from ..assess.priors import Prior, Priors, gather_prior, prior_findings, refuse_own_data
+from ..assess.priors import SCALARS, Prior, Priors, gather_prior, prior_findings, refuse_own_data
 from ..assess.verdict import comparison_left_out
-from ..detect.samples.rests import FEWEST_INTERVALS, RestDetection, ThresholdTrial
-from ..detect.samples.static_intervals import accelerometer_course, disturbed_intervals
+from ..detect.samples.rests import FEWEST_INTERVALS, RestDetection
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.bias_changes import BiasChanges
-from ..estimate.multiposition.evidence import free_jacobian, segment_sums, unseen_changes, with_runs
-from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
+from ..estimate.multiposition.evidence import (
+    LeaveOneOutErrors,
+    as_table,
+    free_jacobian,
+    imu_models,
+    leave_one_out,
+    segment_sums,
+    unseen_changes,
+    with_runs,
+)
+from ..estimate.multiposition.fit import Knowledge, MultiPositionFit, fit_multiposition
+from ..estimate.multiposition.model import MultiPositionState
 from ..estimate.multiposition.problem import (
     ImuEstimate,
     MultiPositionProblem,
-    TriadStream,
-    build_problem,
-    gyroscope_intervals,
+    blocks_of_scalars,
     sensor_scalars,
     to_physical_units,
 )
 from ..estimate.multiposition.triad_changes import change_by_one_cause
-from ..estimate.trust.changes import estimates_are_judged, look_or_postpone
+from ..estimate.trust.changes import estimates_are_judged
+from ..estimate.trust.clusters import correlation_time, group_into_clusters, leave_clusters_out
 from ..estimate.trust.parts import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..frozen import value_class
 from ..kernel import one_blas_thread
-from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..progress import Progress
 from ..recording import Floats, Recording
-from ..recording.thermometer import temperature_course
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
-from ..results.result import Booleans, Result, interval_means
-from ..units import GYROSCOPE_UNITS_RAD_S
-from .steps.imu_model import choose_model, is_evidence_stated, refuse_evidence, with_fixed
+from ..results.result import Result
+from ..results.trust import ModelStep
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .steps.preparation import (
     LEFT_TO_RESTS,
+    ImuReadings,
     PreparedImu,
     check_arguments,
+    found_intervals,
+    gather_readings,
     imu_calibration,
+    is_evidence_stated,
     local_gravity,
     prepare_imu,
     recording_gaps,
+    refuse_evidence,
     stated_options,
-    weighted_stream,
 )
 from .steps.stated_frame import in_stated_frame
-from .steps.temperature_while_turned import BiasPolynomials, bias_polynomials, temperature_powers
+from .steps.temperature_while_turned import BiasPolynomials, bias_polynomials
 
 _LAGS = 3
 """How often the lag of the thermometer is found again."""
 _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
+
+_FEWEST_ROTATIONS = 3
+"""With fewer rotations that the gyroscope measured whole, it is judged by its rests."""
+
+_OF_IMU = slice(0, 33)
+_FIXED_SIGMA = 1e-7  # of what the scaled parameters move a scalar by: as good as nothing
+
+_G = slice(24, 33)  # g-sensitivity among what may be known
+_G_PATH = "imu0.gyroscope.g_sensitivity"
 
 
 def calibrate_imu(
@@ -125,8 +143,8 @@ def _calibrated(recording: Recording, options: ImuOptions, progress: Progress | 
         return calibrate_as_published(recording, prepared, options, tell)
     gravity = local_gravity(options)
     tell("finding static intervals")
-    detection = _static_intervals(prepared, options)
-    readings = _readings(prepared, detection.chosen, options)
+    detection = found_intervals(prepared, options)
+    readings = gather_readings(prepared, detection.chosen, options)
     if np.sum(readings.problem.data.linked) < _FEWEST_ROTATIONS:
         return _by_rests(recording, options, progress, prior, prepared)
     known = None
@@ -137,7 +155,7 @@ def _calibrated(recording: Recording, options: ImuOptions, progress: Progress | 
     for _ in range(_LAGS):  # with a lag that is not undone, a curve in the temperature is none in what is read
         if fit.temperature is None or fit.temperature.lag_s == readings.lag_s:
             break
-        readings = _readings(prepared, detection.chosen, options, lag_s=fit.temperature.lag_s)
+        readings = gather_readings(prepared, detection.chosen, options, lag_s=fit.temperature.lag_s)
         fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
     tell("assessing the result")
     prepared = replace(prepared, findings=(*prepared.findings, *readings.noticed))
@@ -151,67 +169,16 @@ def _by_rests(
     prior: Priors,
     prepared: PreparedImu | None = None,
 ) -> Result:
-    from .poses import calibrate_poses  # loaded where a recording asks for it
+    from .poses import calibrate_poses
 
     return calibrate_poses(recording, options, progress, prior, prepared)
-
-
-@value_class
-class _Readings:
-    """What is fitted: static intervals of both triads, and the rotations between them.
-
-    Attributes
-    ----------
-    problem, streams : see `build_problem`
-    touched : which of the intervals found were disturbed, and are left out
-    course : of the accelerometer's bias over the time, see `accelerometer_course`
-    reference_degc : mean temperature at rest [degC]; None where it did not both rise and fall
-    lag_s : of the thermometer, which is undone in the temperature [s]
-    noticed : what all intervals, also those that were disturbed, show of axes that changed
-    """
-
-    problem: MultiPositionProblem
-    streams: tuple[TriadStream, TriadStream]
-    touched: Booleans
-    course: BiasChanges
-    reference_degc: float | None
-    lag_s: float
-    noticed: list[Finding]
-
-
-def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0) -> _Readings:
-    at_rest = weighted_stream(
-        prepared.accelerometer,
-        prepared.accelerometer_time.t_s,
-        prepared.accelerometer_saturated,
-        chosen.intervals,
-    )
-    reference = None
-    if prepared.temperature is not None and (course := temperature_course(prepared.temperature, lag_s)) is not None:
-        degc = course.with_rate(prepared.accelerometer.t_ns)
-        resting = interval_means(degc, chosen.intervals)[:, 0]
-        reference = float(resting.mean())
-        at_rest = replace(at_rest, degc=temperature_powers(degc, resting, course.step_k))
-    changes, functions = accelerometer_course(at_rest)
-    touched = disturbed_intervals(chosen, prepared.accelerometer, functions, at_rest.density)
-    problem, streams = _problem(prepared, at_rest, touched, options)
-    whole = _problem(prepared, at_rest, np.zeros_like(touched), options)[0] if touched.any() else problem
-    return _Readings(
-        problem=problem,
-        streams=streams,
-        touched=touched,
-        course=changes,
-        reference_degc=reference,
-        lag_s=lag_s,
-        noticed=look_or_postpone(lambda: axes_changed_findings(whole)),
-    )
 
 
 def _fit(
     recording: Recording,
     prepared: PreparedImu,
     detection: RestDetection,
-    readings: _Readings,
+    readings: ImuReadings,
     *,
     known: Prior | None,
     gravity: Gravity,
@@ -219,7 +186,7 @@ def _fit(
 ) -> ImuFitSummary:
     """Choose the model, and return its estimate with the covariance from clusters of static intervals."""
     problem = readings.problem
-    model = choose_model(
+    model = _choose_model(
         problem,
         options,
         known,
@@ -250,12 +217,147 @@ def _fit(
         fit=model.fit,
         heldout=model.heldout,
         rivals=model.rivals,
-        estimate=with_fixed(replace(estimate, covariance=trust.covariance), known),
+        estimate=_with_fixed(replace(estimate, covariance=trust.covariance), known),
         trust=replace(trust.trust, models=model.steps, weak=weak),
         instabilities=trust.instabilities,
         unseen_sigma=unseen_sigma,
         gravity_m_s2=gravity.value,
         temperature=None if slopes is None else slopes.found,
+    )
+
+
+@value_class
+class _ChosenModel:
+    """The model taken, its fit, and what speaks for it.
+
+    Attributes
+    ----------
+    fit, heldout : with the model taken
+    rivals : model -> errors of intervals and rotations that were left out
+    steps : what each step of the model brings
+    """
+
+    fit: MultiPositionFit
+    heldout: LeaveOneOutErrors
+    rivals: dict[str, LeaveOneOutErrors]
+    steps: tuple[ModelStep, ...]
+
+
+def _choose_model(
+    problem: MultiPositionProblem,
+    options: ImuOptions,
+    known: Prior | None,
+    *,
+    units: dict[str, str],
+    gravity_m_s2: float,
+    walk: Floats | None,
+    course: BiasChanges | None,
+) -> _ChosenModel:
+    """Fit with g-sensitivity, and keep it where clusters of time that were left out prove it or somebody says so.
+
+    `course` is how the accelerometer's bias changed, where that is known already.
+    """
+    beforehand = _scaled_prior(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
+
+    def fitted(*, g_sensitivity: bool, before: MultiPositionFit | None = None) -> MultiPositionFit:
+        changes = (None, course) if before is None else before.changes
+        return fit_multiposition(
+            problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk, changes=changes
+        )
+
+    if known and known.fixed[_G].all() and not known.value[_G].any():
+        fit = fitted(g_sensitivity=False)
+        heldout = leave_one_out(fit)
+        return _ChosenModel(fit=fit, heldout=heldout, rivals={"basic": heldout}, steps=())
+    stated = {"basic": False, "g-sensitivity": True}.get(options.model)
+    if (known and known.knows(_G_PATH)) or _G_PATH in options.free:
+        stated = stated is not False
+    fit = fitted(g_sensitivity=True)
+    judged = stated is None or estimates_are_judged()
+    steps = _steps(problem, fit, units, gravity_m_s2, stated) if judged else ()
+    taken = "g-sensitivity" if stated or any(step.used for step in steps if step.name == "g-sensitivity") else "basic"
+    largest = leave_one_out(fit)
+    if taken == "basic":
+        fit = fitted(g_sensitivity=False, before=fit)
+    rivals = {"g-sensitivity": largest}
+    if judged or taken == "basic":
+        rivals["basic"] = leave_one_out(fit, g_sensitivity=False)
+    return _ChosenModel(fit=fit, heldout=rivals[taken], rivals=rivals, steps=steps)
+
+
+def _steps(
+    problem: MultiPositionProblem,
+    fit: MultiPositionFit,
+    units: dict[str, str],
+    gravity_m_s2: float,
+    stated: bool | None,
+) -> tuple[ModelStep, ...]:
+    """Return what each step of the model brings, by clusters of static intervals and rotations."""
+    values, jacobian = sensor_scalars(
+        fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=None
+    )
+    jacobian = free_jacobian(fit, jacobian)
+    sums = segment_sums(fit)
+    moves = leave_clusters_out(sums) @ jacobian.T
+    clusters = group_into_clusters(sums, correlation_time(moves, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][0]
+    nominal, functions = _nominal(problem, units, gravity_m_s2), (fit.data.of_gyroscope, fit.data.of_accelerometer)
+    steps = imu_models(clusters, fit.state, nominal, g_sensitivity=stated, functions=functions)
+    return as_table(steps, jacobian, blocks_of_scalars(values), forced=stated is not None)
+
+
+def _nominal(problem: MultiPositionProblem, units: dict[str, str], gravity_m_s2: float) -> Floats | None:
+    """Return the scaled parameters (6,) of nominal scales; None where a triad counts."""
+    force, rate = ACCELEROMETER_UNITS_M_S2[units["accelerometer"]], GYROSCOPE_UNITS_RAD_S[units["gyroscope"]]
+    if force is None or rate is None:
+        return None
+    return np.append(gravity_m_s2 / force / problem.accelerometer.spread, rate * problem.gyroscope.spread)
+
+
+def _scaled_prior(
+    found: Prior | None, problem: MultiPositionProblem, *, gravity_m_s2: float, latitude_deg: float | None
+) -> Knowledge | None:
+    """Return the prior on the scaled parameters, or None where nothing is known."""
+    if not found:
+        return None
+
+    def at(state: MultiPositionState) -> tuple[Floats, Floats]:
+        """Return precision (30, 30) and information (30,) of theta at a state."""
+        values, jacobian = sensor_scalars(
+            state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
+        )
+        precision, information = (part[_OF_IMU] for part in found.quadratic(np.append(values, np.zeros(SCALARS - 33))))
+        precision = precision[:, _OF_IMU].copy()
+        reach = np.linalg.norm(jacobian, axis=1)
+        held = np.flatnonzero(found.fixed[_OF_IMU] & (reach > 0))
+        tight = (_FIXED_SIGMA * reach[held]) ** -2
+        precision[held, held] += tight
+        information = information.copy()
+        information[held] += tight * found.value[held]
+        theta = state.theta[: jacobian.shape[1]]
+        weighted = jacobian.T @ precision
+        return weighted @ jacobian, jacobian.T @ information - weighted @ (values - jacobian @ theta)
+
+    return at
+
+
+def _with_fixed(estimate: ImuEstimate, found: Prior | None) -> ImuEstimate:
+    """Return the estimate with what was held fixed exactly where it was held, and certain."""
+    if found is None:
+        return estimate
+    held = np.flatnonzero(found.fixed[_OF_IMU])
+    if not len(held):
+        return estimate
+    values, covariance = estimate.values, estimate.covariance.copy()
+    values[held] = found.value[held]
+    covariance[held] = covariance[:, held] = 0.0
+    sensitivity, bias, gyro_sensitivity, gyro_bias, g_sensitivity = np.split(values, [9, 12, 21, 24])
+    return ImuEstimate(
+        accelerometer_sensitivity=sensitivity.reshape(3, 3),
+        accelerometer_bias=bias,
+        gyroscope_sensitivity=gyro_sensitivity.reshape(3, 3),
+        gyroscope_bias=gyro_bias,
+        g_sensitivity=g_sensitivity.reshape(3, 3),
+        covariance=covariance,
     )
 
 
@@ -286,49 +388,6 @@ def _assess(
         rests = diagnostics.intervals
         calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
     return Result(calibration=calibration, diagnostics=diagnostics)
-
-
-def _static_intervals(prepared: PreparedImu, options: ImuOptions) -> RestDetection:
-    """Return the static intervals (Eq. 3.9) that were found, where they are enough for a calibration."""
-    samples, detection = prepared.accelerometer, prepared.rests
-    if detection is None:
-        raise DetectionError(
-            f"the recording of {samples.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "
-            "Record at least nine attitudes of 2 to 4 s each."
-        )
-    if detection.chosen.fit is None:
-        most = max(len(trial.intervals) for trial in detection.trials)
-        raise DetectionError(
-            f"the {most} static intervals found do not determine the accelerometer: their attitudes are too much "
-            "alike. Hold the sensor still with every axis up once and down once, and in some directions between."
-        )
-    return detection
-
-
-def _problem(
-    prepared: PreparedImu, accelerometer: TriadStream, touched: Booleans, options: ImuOptions
-) -> tuple[MultiPositionProblem, tuple[TriadStream, TriadStream]]:
-    """Gather what the undisturbed intervals and the rotations between them measured."""
-    t_s, still = accelerometer.t_s, accelerometer.intervals.where(~touched)
-    if touched.any():
-        degc = accelerometer.degc
-        accelerometer = weighted_stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
-        accelerometer = replace(accelerometer, degc=degc)
-    rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
-    at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
-    if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
-        raise DetectionError(
-            "the gyroscope has no samples in some static intervals of the accelerometer. "
-            "Both must be recorded together and stamped by one clock."
-        )
-    gyroscope = weighted_stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
-    if accelerometer.degc is not None:
-        near = np.clip(np.searchsorted(t_s, t_gyro), 0, len(t_s) - 1)
-        gyroscope = replace(gyroscope, degc=accelerometer.degc[near])
-    # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
-    cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
-    unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2
-    return build_problem(accelerometer, gyroscope, unmodelled), (accelerometer, gyroscope)
 
 
 def _in_units(
@@ -402,10 +461,6 @@ def _known_walk(recording: Recording, problem: MultiPositionProblem) -> Floats |
     if samples.noise is None or factor is None:
         return None
     return (samples.noise.gyroscope_random_walk / factor / problem.gyroscope.spread) ** 2
-
-
-_FEWEST_ROTATIONS = 3
-"""With fewer rotations that the gyroscope measured whole, it is judged by its rests."""
 
 
 def _is_of_rests_alone(recording: Recording, options: ImuOptions) -> bool:

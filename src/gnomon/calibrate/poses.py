@@ -35,10 +35,9 @@ from ..results.result import Result
 from ..results.sensors import calibration_parameters
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .published.angrisano import calibrate_poses_as_published
-from .steps.imu_model import refuse_evidence
 from .steps.pose_gyroscope import fit_gyroscope_at_rest
 from .steps.pose_preparation import PreparedPoses, prepare_poses
-from .steps.preparation import PreparedImu, local_gravity, stated_options
+from .steps.preparation import PreparedImu, local_gravity, refuse_evidence, stated_options
 from .steps.stated_frame import in_stated_frame
 
 _FEWEST_DETERMINED = 9

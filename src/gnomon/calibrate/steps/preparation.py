@@ -1,4 +1,4 @@
-"""Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
+"""Before anything is estimated: one IMU's samples, checked and put on their time base, its rests, and local gravity."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -7,20 +7,35 @@ from itertools import combinations
 import numpy as np
 
 from ...assess.checks.imu_checks import check_by_rests, find_imu_rests
+from ...assess.imu.recording_changes import axes_changed_findings
 from ...assess.imu.temperature import CHIP_DEGC
+from ...assess.priors import Priors
 from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
-from ...detect.samples.rests import RestDetection
-from ...detect.samples.static_intervals import resting_noise, rounding_variance
+from ...detect.samples.rests import RestDetection, ThresholdTrial
+from ...detect.samples.static_intervals import (
+    accelerometer_course,
+    disturbed_intervals,
+    resting_noise,
+    rounding_variance,
+)
 from ...errors import DetectionError, OptionError, RecordingError
-from ...estimate.multiposition.problem import ImuEstimate, TriadStream
+from ...estimate.multiposition.bias_changes import BiasChanges
+from ...estimate.multiposition.problem import (
+    ImuEstimate,
+    MultiPositionProblem,
+    TriadStream,
+    build_problem,
+    gyroscope_intervals,
+)
+from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
 from ...frozen import value_class
-from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
+from ...models.gravity import EARTH_RATE_RAD_S, NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
 from ...recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples, shared_sources, smallest_steps
 from ...recording.samples import TimeBase, time_base
-from ...recording.thermometer import known_readings
+from ...recording.thermometer import known_readings, temperature_course
 from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
@@ -28,8 +43,8 @@ from ...results.calibration import (
     GyroscopeCalibration,
     ImuCalibration,
 )
-from ...results.result import Booleans, StaticIntervals
-from .temperature_while_turned import rose_and_fell
+from ...results.result import Booleans, StaticIntervals, interval_means
+from .temperature_while_turned import rose_and_fell, temperature_powers
 
 _READ = {
     "calibrate_imu": 'gnomon.calibrate_imu(gnomon.read("recording.csv"))',
@@ -39,6 +54,16 @@ _READ = {
     "calibrate_camera_imu": "gnomon.calibrate_camera_imu(*gnomon.read_camera_imu("
     '"rig.bag", cam="camchain.yaml", imu="imu.yaml", target="target.yaml"))',
 }
+
+_PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
+
+LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})
+"""What the data doctor holds against a multi-position recording, and what rests alone may do without."""
+
+GAP_NS = 500_000_000
+"""A longer step between two samples is a time that was not recorded."""
+
+_GAP_STEPS = 20
 
 
 def check_arguments(function: str, *values: object) -> None:
@@ -59,7 +84,24 @@ def check_arguments(function: str, *values: object) -> None:
             )
 
 
-_PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
+def is_evidence_stated(options: ImuOptions, prior: Priors) -> bool:
+    """Return whether somebody states what is known beforehand, or what shall not be taken from it."""
+    return bool(prior or options.fix or options.free or options.prior)
+
+
+def refuse_evidence(options: ImuOptions, prior: Priors) -> None:
+    """Refuse evidence for a published method, which knows no use of it.
+
+    Raises
+    ------
+    OptionError
+        If there is any.
+    """
+    if is_evidence_stated(options, prior):
+        raise OptionError(
+            f"preset {options.preset} knows neither --prior nor --fix nor --free. "
+            "Leave them out, or use the default preset."
+        )
 
 
 @value_class
@@ -301,17 +343,6 @@ def weighted_stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still
     )
 
 
-LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})
-"""What the data doctor holds against a multi-position recording, and what rests alone may do without."""
-
-
-GAP_NS = 500_000_000
-"""A longer step between two samples is a time that was not recorded."""
-
-
-_GAP_STEPS = 20
-
-
 def recording_gaps(samples: TriadSamples) -> Booleans:
     """Return which steps from sample to sample are times that were not recorded, (n - 1,)."""
     steps = np.diff(samples.t_ns)
@@ -330,3 +361,100 @@ def chip_temperature(recordings: Sequence[Recording]) -> dict[str, str]:
     if not CHIP_DEGC[0] <= mean <= CHIP_DEGC[1]:
         return {}
     return {"chip_degc": f"{mean:.2f}", "chip_range_degc": f"{low:.2f} to {high:.2f}"}
+
+
+def found_intervals(prepared: PreparedImu, options: ImuOptions) -> RestDetection:
+    """Return the static intervals (Eq. 3.9) that were found, where they are enough for a calibration."""
+    samples, detection = prepared.accelerometer, prepared.rests
+    if detection is None:
+        raise DetectionError(
+            f"the recording of {samples.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "
+            "Record at least nine attitudes of 2 to 4 s each."
+        )
+    if detection.chosen.fit is None:
+        most = max(len(trial.intervals) for trial in detection.trials)
+        raise DetectionError(
+            f"the {most} static intervals found do not determine the accelerometer: their attitudes are too much "
+            "alike. Hold the sensor still with every axis up once and down once, and in some directions between."
+        )
+    return detection
+
+
+@value_class
+class ImuReadings:
+    """What is fitted: static intervals of both triads, and the rotations between them.
+
+    Attributes
+    ----------
+    problem, streams : see `build_problem`
+    touched : which of the intervals found were disturbed, and are left out
+    course : of the accelerometer's bias over the time, see `accelerometer_course`
+    reference_degc : mean temperature at rest [degC]; None where it did not both rise and fall
+    lag_s : of the thermometer, which is undone in the temperature [s]
+    noticed : what all intervals, also those that were disturbed, show of axes that changed
+    """
+
+    problem: MultiPositionProblem
+    streams: tuple[TriadStream, TriadStream]
+    touched: Booleans
+    course: BiasChanges
+    reference_degc: float | None
+    lag_s: float
+    noticed: list[Finding]
+
+
+def gather_readings(
+    prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions, *, lag_s: float = 0.0
+) -> ImuReadings:
+    """Return what is fitted, with the lag of the thermometer undone."""
+    at_rest = weighted_stream(
+        prepared.accelerometer,
+        prepared.accelerometer_time.t_s,
+        prepared.accelerometer_saturated,
+        chosen.intervals,
+    )
+    reference = None
+    if prepared.temperature is not None and (course := temperature_course(prepared.temperature, lag_s)) is not None:
+        degc = course.with_rate(prepared.accelerometer.t_ns)
+        resting = interval_means(degc, chosen.intervals)[:, 0]
+        reference = float(resting.mean())
+        at_rest = replace(at_rest, degc=temperature_powers(degc, resting, course.step_k))
+    changes, functions = accelerometer_course(at_rest)
+    touched = disturbed_intervals(chosen, prepared.accelerometer, functions, at_rest.density)
+    problem, streams = _problem(prepared, at_rest, touched, options)
+    whole = _problem(prepared, at_rest, np.zeros_like(touched), options)[0] if touched.any() else problem
+    return ImuReadings(
+        problem=problem,
+        streams=streams,
+        touched=touched,
+        course=changes,
+        reference_degc=reference,
+        lag_s=lag_s,
+        noticed=look_or_postpone(lambda: axes_changed_findings(whole)),
+    )
+
+
+def _problem(
+    prepared: PreparedImu, accelerometer: TriadStream, touched: Booleans, options: ImuOptions
+) -> tuple[MultiPositionProblem, tuple[TriadStream, TriadStream]]:
+    """Gather what the undisturbed intervals and the rotations between them measured."""
+    t_s, still = accelerometer.t_s, accelerometer.intervals.where(~touched)
+    if touched.any():
+        degc = accelerometer.degc
+        accelerometer = weighted_stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
+        accelerometer = replace(accelerometer, degc=degc)
+    rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
+    at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
+    if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
+        raise DetectionError(
+            "the gyroscope has no samples in some static intervals of the accelerometer. "
+            "Both must be recorded together and stamped by one clock."
+        )
+    gyroscope = weighted_stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
+    if accelerometer.degc is not None:
+        near = np.clip(np.searchsorted(t_s, t_gyro), 0, len(t_s) - 1)
+        gyroscope = replace(gyroscope, degc=accelerometer.degc[near])
+    # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
+    cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
+    unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2
+    return build_problem(accelerometer, gyroscope, unmodelled), (accelerometer, gyroscope)
