@@ -746,7 +746,7 @@ static inline double excess(double length, double z, double square) {
 static inline double reach(double alpha) { return alpha <= 0.5 ? alpha / (1 - alpha) : (1 - alpha) / alpha; }
 
 /* Whether a point is imaged; where: pixel (2), its derivatives by the point (2, 3) and by the lens (2, PARAMETERS);
-   see models/camera.py and models/projections.py. */
+   see models/camera.py. */
 INLINE int project(const Lens *lens, const double *point, double *pixel, double by_point[2][3],
                    double by_lens[2][PARAMETERS]) {
     const double x = point[0], y = point[1], z = point[2], square = x * x + y * y;

@@ -2,7 +2,7 @@
 
 The lens models: their names, and those of their parameters, in the order of Kalibr's files. Needs no NumPy.
 
-`models.projections` and `models.distortions` hold the equations.
+`models.camera` and `models.distortions` hold the equations.
 """
 
 import difflib

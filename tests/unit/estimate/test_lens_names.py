@@ -5,8 +5,8 @@ import pytest
 from gnomon.estimate.cameras.first_lens import BENDINGS, SHAPES, names_of
 from gnomon.formats.kalibr.results import LENS_NAMES
 from gnomon.models import lens_names
+from gnomon.models.camera import PROJECTIONS
 from gnomon.models.distortions import DISTORTIONS
-from gnomon.models.projections import PROJECTIONS
 from gnomon.report.cameras.page import DISTORTION_FORMULAS, PROJECTION_FORMULAS
 
 
@@ -17,7 +17,7 @@ def missing(name, tables):
 @pytest.mark.parametrize("name", lens_names.SHAPES)
 def test_a_projection_is_known_everywhere(name):
     tables = {
-        "models/projections.py": PROJECTIONS,
+        "models/camera.py": PROJECTIONS,
         "estimate/cameras/first_lens.py": SHAPES,
         "report/cameras_use.py": PROJECTION_FORMULAS,
         "formats/kalibr/results.py": LENS_NAMES,

@@ -18,10 +18,9 @@ from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners, view_cor
 from ...estimate.cameras.solution import solve_rig
 from ...estimate.trust.clusters import ClusterSums, cluster_length, correlation_time, held_out_costs, leave_clusters_out
 from ...frozen import value_class
-from ...models.camera import Camera
+from ...models.camera import PROJECTIONS, Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import read_everywhere
-from ...models.projections import PROJECTIONS
 from ...recording import Floats, Integers
 from ...results.camera_diagnostics import LensTrial
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from ...errors import InitialisationError, OptionError
 from ...frozen import value_class
-from ...models.camera import Camera
+from ...models.camera import PROJECTIONS, Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName
-from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.samples import Booleans

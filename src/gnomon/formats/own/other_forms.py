@@ -18,9 +18,8 @@ import yaml
 
 from ...errors import FormatError, OptionError
 from ...geometry.rotations import rotation_from_rotvec
-from ...models.camera import Camera
+from ...models.camera import PROJECTIONS, Camera
 from ...models.distortions import DISTORTIONS
-from ...models.projections import PROJECTIONS
 from ...recording import Floats
 from ...results.calibration import (
     AccelerometerCalibration,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...geometry.rotations import quaternion_from_rotation, skew
-from ...models.camera import Camera
+from ...models.camera import PROJECTIONS, Camera
 from ...models.distortions import DISTORTIONS
 from ...models.forms import (
     AngrisanoAccelerometer,
@@ -21,7 +21,6 @@ from ...models.forms import (
     TedaldiGyroscope,
     in_own_axes,
 )
-from ...models.projections import PROJECTIONS
 from ...recording import Floats
 from ...results.calibration import Calibration
 from ...results.sensors import unit_ratio

@@ -15,11 +15,10 @@ import numpy as np
 from ...errors import OptionError
 from ...findings import join_names
 from ...frozen import value_class
-from ...models.camera import Camera, knows_lens
+from ...models.camera import PROJECTIONS, Camera, knows_lens
 from ...models.frames import AXES, Floats, frame_rotation
 from ...models.lens_names import PROGRAMS
 from ...models.noise import ImuNoise
-from ...models.projections import PROJECTIONS
 from ...results.calibration import Calibration, CameraCalibration
 from ...results.result import prior_held_names
 from ..foreign import FOREIGN_METHOD
