@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from ..findings import share_words
-from ..formats.shared.entries import baseline_of, camera_entries, value_text
+from ..formats.shared.entries import baseline_of, value_text
 from ..models.camera import knows_lens
 from ..models.frames import AXES
 from ..models.lens_names import PROGRAMS
@@ -200,14 +200,21 @@ def _shift(calibration: Calibration, path: str) -> str:
 
 def _scalars(calibration: Calibration, name: str) -> Iterator[str]:
     """Say the time shift, and what was estimated of the lens, or delays its rows."""
-    for entry, sigma in camera_entries(calibration, name):
-        value = value_text(entry.value, sigma).replace("±", "+-")
-        if entry.name == "time_shift_cam_imu":
-            yield f"    time shift       {_shift(calibration, f'{name}.{entry.name}')} ms (t_imu = t_cam + shift)"
-        elif entry.name.startswith(("R_", "t_", "p_")):
-            continue
-        elif sigma or (entry.name == "line_delay" and entry.value):
-            yield f"    {entry.name:<16} {value} {entry.unit}".removesuffix(" 1")
+    yield f"    time shift       {_shift(calibration, f'{name}.time_shift_cam_imu')} ms (t_imu = t_cam + shift)"
+    delay, sigma = (1e6 * float(of(f"{name}.line_delay")) for of in (calibration.parameter, calibration.sigma))
+    if sigma or delay:
+        yield f"    {'line_delay':<16} {_value(delay, sigma)} us"
+    lens = calibration.cameras[name].camera
+    sigmas = np.concatenate([calibration.sigma(f"{name}.{key}") for key in ("intrinsics", "distortion_coeffs")])
+    scalars = zip(lens.parameter_symbols, lens.parameter_kinds, lens.parameters.tolist(), sigmas.tolist(), strict=True)
+    for symbol, kind, value, sigma in scalars:
+        if sigma:
+            unit = " px" if kind in ("focal", "principal") else ""
+            yield f"    {symbol:<16} {_value(value, sigma)}{unit}"
+
+
+def _value(value: float, sigma: float) -> str:
+    return value_text(value, sigma).replace("±", "+-")
 
 
 def _distance(calibration: Calibration, first: str, second: str) -> Iterator[str]:
