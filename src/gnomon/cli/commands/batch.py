@@ -310,8 +310,8 @@ class DeviceOutcome:
 def calibrate_device(task: DeviceTask) -> DeviceOutcome:
     """Calibrate one recording as its command would, and return what became of it."""
     from ...formats.own.calibration_file import load
-    from .. import explain_error
     from ..command import parse_command
+    from ..terminal import explain_error
 
     try:
         command = parse_command(task.line)
