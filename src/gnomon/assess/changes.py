@@ -34,7 +34,7 @@ _EXCHANGED = f"Check that its data are of one sensor throughout, not of another 
 _WARM = "Let the sensor warm up, and keep it at one temperature"
 _QUANTITIES: Mapping[str, RequiredQuantity] = {
     **QUANTITIES,
-    "lens": RequiredQuantity(words="lens of {sensor} (rms over the image)", kind="distance in the image"),
+    "lens": RequiredQuantity(words="lens of {sensor} (rms over the image)", unit="px", size=1.0),
 }
 _NEEDED: Mapping[str, float] = {
     **GENERAL_IMU.needs,

@@ -25,7 +25,6 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "rate": {"deg/s": _DEG, "rad/s": 1.0, "mrad/s": 1e-3, "deg/h": _DEG / 3600},
     "acceleration": {"mm/s^2": 1e-3, "m/s^2": 1.0, "mg": 1e-3 * _G, "g": _G},
     "rate per acceleration": {"deg/s/g": _DEG_S_G, "rad/s/(m/s^2)": 1.0},
-    "distance in the image": {"px": 1.0},
 }
 """Kind of quantity -> its units, in SI; the first is the one that is shown."""
 
@@ -37,43 +36,42 @@ class RequiredQuantity:
     Attributes
     ----------
     words : for people; {sensor} stands for the camera or the IMU
-    kind : of its unit
+    unit : in which it is shown
+    size : one of that unit, in SI
     """
 
     words: str
-    kind: str
-
-    @property
-    def unit(self) -> str:
-        """Unit in which it is shown."""
-        return next(iter(_UNITS[self.kind]))
-
-    @property
-    def size(self) -> float:
-        """One of that unit, in SI."""
-        return _UNITS[self.kind][self.unit]
+    unit: str
+    size: float
 
 
 FIELD_UT = 48.0
 """A usual field of the Earth, where a magnetometer's calibration does not state its own."""
 
+_WORDS_AND_KINDS: Mapping[str, tuple[str, str]] = {
+    "camera_rotation": ("rotation of {sensor} against the IMU", "angle"),
+    "camera_translation": ("translation of {sensor} against the IMU", "length"),
+    "time_shift": ("time shift of {sensor}", "time"),
+    "imu_rotation": ("rotation of {sensor} against imu0", "angle"),
+    "imu_translation": ("translation of {sensor} against imu0", "length"),
+    "gyroscope_scale": ("gyroscope scale", "ratio"),
+    "gyroscope_misalignment": ("gyroscope axes", "angle"),
+    "gyroscope_bias": ("gyroscope bias", "rate"),
+    "gyroscope_g_sensitivity": ("gyroscope g-sensitivity", "rate per acceleration"),
+    "accelerometer_scale": ("accelerometer scale", "ratio"),
+    "accelerometer_misalignment": ("accelerometer axes", "angle"),
+    "accelerometer_bias": ("accelerometer bias", "acceleration"),
+    "heading": ("heading by the magnetometer", "angle"),
+}
+
 QUANTITIES: Mapping[str, RequiredQuantity] = FrozenMapping(
     {
-        "camera_rotation": RequiredQuantity(words="rotation of {sensor} against the IMU", kind="angle"),
-        "camera_translation": RequiredQuantity(words="translation of {sensor} against the IMU", kind="length"),
-        "time_shift": RequiredQuantity(words="time shift of {sensor}", kind="time"),
-        "imu_rotation": RequiredQuantity(words="rotation of {sensor} against imu0", kind="angle"),
-        "imu_translation": RequiredQuantity(words="translation of {sensor} against imu0", kind="length"),
-        "gyroscope_scale": RequiredQuantity(words="gyroscope scale", kind="ratio"),
-        "gyroscope_misalignment": RequiredQuantity(words="gyroscope axes", kind="angle"),
-        "gyroscope_bias": RequiredQuantity(words="gyroscope bias", kind="rate"),
-        "gyroscope_g_sensitivity": RequiredQuantity(words="gyroscope g-sensitivity", kind="rate per acceleration"),
-        "accelerometer_scale": RequiredQuantity(words="accelerometer scale", kind="ratio"),
-        "accelerometer_misalignment": RequiredQuantity(words="accelerometer axes", kind="angle"),
-        "accelerometer_bias": RequiredQuantity(words="accelerometer bias", kind="acceleration"),
-        "heading": RequiredQuantity(words="heading by the magnetometer", kind="angle"),
+        name: RequiredQuantity(words=words, unit=unit, size=size)
+        for name, (words, kind) in _WORDS_AND_KINDS.items()
+        for unit, size in tuple(_UNITS[kind].items())[:1]
     }
 )
+"""What a use may need, by name."""
 
 
 @value_class(eq=True)
@@ -106,7 +104,7 @@ def parse_sigma(name: str, text: str) -> float:
         close = difflib.get_close_matches(name, QUANTITIES, n=1)
         hint = f"Did you mean {close[0]}?" if close else f"Known: {', '.join(QUANTITIES)}."
         raise OptionError(f"{name}: there is no such quantity. {hint}")
-    units = _UNITS[QUANTITIES[name].kind]
+    units = _UNITS[_WORDS_AND_KINDS[name][1]]
     number, _, unit = text.strip().partition(" ")
     if number.endswith("%"):
         number, unit = number[:-1], "%"
