@@ -590,7 +590,7 @@ CLONES EXPORT void gnomon_inertial_sums(int64_t n, const Readings *readings, int
         for (int64_t j = 0; j < i; j++) corner[i * rest + j] = corner[j * rest + i];
 }
 
-/* tied equations (solve/tied_band.py) */
+/* tied equations (solve/bordered_band.py) */
 
 /* Which super-blocks (2) have the values that a tied scalar of a control point lies between, and their weights. */
 static inline void tied_weights(int64_t control, int64_t offset, int64_t per_block, int64_t blocks, int64_t *block,

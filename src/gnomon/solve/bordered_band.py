@@ -8,17 +8,24 @@ parameters. Gathered into super-blocks of order - 1 control points the matrix is
     [     E1' D2  ..    .. ]
     [ F0' F1' ..        C  ]
 
-and is factorised from the first block to the last with a few dense operations a block, in place: time and memory grow
-linearly with the chain. Right-hand sides and border are carried along, so that the Schur complement of the border, and
-with it the covariance of the parameters, falls out.
+which `factorisation.Factor` factorises in place.
 
 Hundreds of parameters that are touched by a few numbers of each term, such as the corners of a board, would fill the
 memory as columns of the border. They are the wide part of it: their rows of F are made when a block is eliminated, add
 to the Schur complement, and are forgotten.
+
+Some scalars change so slowly that one value for every super-block tells them. All groups of a tied chain but the first,
+such as the biases beside the pose, are given at every (order - 1)-th control point, and lie on straight lines between:
+with values v_k at control points c_k = k (order - 1) + offset, that of control point c_k + r is (1 - u) v_k + u
+v_(k+1), u = r / (order - 1). Before the first and behind the last they stay as they are there. With T the matrix of
+these weights the equations N x = b become T' N T y = T' b, x = T y. A super-block then has the first group's scalars of
+its control points, and behind them one value of each of the others'.
+
+A term that touches the first group's scalars of control points i to i + order - 1 may touch tied ones of i + offset and
+of the one behind it; then N stays block tridiagonal. Tied groups may have terms of their own, of neighbours, but none
+with each other.
 """
 
-from collections.abc import Iterator
-from itertools import repeat
 from math import prod
 from typing import Protocol
 
@@ -26,14 +33,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frozen import value_class
-from .lapack import dpotrf, dsyrk, dtrsm, dtrsv, dtrtri
-from .tied_band import TiedLayout
+from ..kernel import library
 
 Floats = NDArray[np.float64]
 
-
 _LOWER, _CHAIN, _TAIL = "lower", "chain", "tail"
 _OF_A_FACTOR = {_LOWER, _CHAIN}
+_COLUMNS = 16  # that are folded at once: all of them would be a copy as large as what stands beside the band
 
 
 class Workspace:
@@ -95,6 +101,190 @@ class WideBorder(Protocol):
     def blocks(self, first: int, count: int) -> Floats:
         """Return the blocks (count, g, size) of control points from `first` on, g the first of their d scalars."""
         ...
+
+
+@value_class(eq=True)
+class TiedLayout:
+    """Where the scalars of super-blocks are.
+
+    Attributes
+    ----------
+    controls : n, number of control points
+    per_block : order - 1, control points of a super-block
+    groups : sizes of the groups, the first one and the tied ones; they sum to d
+    offset : first control point whose tied scalars are given
+    """
+
+    controls: int
+    per_block: int
+    groups: tuple[int, ...]
+    offset: int
+
+    @property
+    def blocks(self) -> int:
+        """Number b of super-blocks."""
+        return -(-self.controls // self.per_block)
+
+    @property
+    def own(self) -> int:
+        """Scalars of the first group in a super-block; the others stand behind them."""
+        return self.per_block * self.groups[0]
+
+    @property
+    def size(self) -> int:
+        """Scalars of a super-block."""
+        return self.own + sum(self.groups[1:])
+
+    def folded(self, values: Floats) -> Floats:
+        """Return T' values (n, d, k), super-block by super-block, (b, s, k)."""
+        first, blocks = self.groups[0], self.blocks
+        found = np.zeros((blocks, self.size, values.shape[2]))
+        whole = found[:, : self.own].reshape(blocks, self.per_block, first, -1)  # a view
+        for row in range(self.per_block):
+            part = values[row :: self.per_block, :first]
+            whole[: len(part), row] = part
+        tied = np.zeros((blocks + 1, self.size - self.own, values.shape[2]))
+        for r, u in self._weights():
+            part = values[self.offset + r :: self.per_block, first:]
+            tied[: len(part)] += (1 - u) * part
+            tied[1 : len(part) + 1] += u * part
+        tied[0] += values[: self.offset, first:].sum(axis=0)
+        tied[-2] += tied[-1]
+        found[:, self.own :] = tied[:-1]
+        return found
+
+    def unfolded(self, values: Floats) -> Floats:
+        """Return T values (b, s), (n, d)."""
+        found = np.empty((self.controls, sum(self.groups), 1))
+        for block, own in enumerate(values):
+            self.take(block, own[:, None], found)
+        self.spread(values[:, self.own :, None], found)
+        return found[:, :, 0]
+
+    def take(self, block: int, values: Floats, out: Floats) -> Floats:
+        """Write values (s, k) of a super-block's first group to their places in (n, d, k); return the tied ones."""
+        first = slice(block * self.per_block, (block + 1) * self.per_block)
+        part = out[first, : self.groups[0]]
+        part[:] = values[: self.own].reshape(self.per_block, self.groups[0], -1)[: len(part)]
+        return values[self.own :]
+
+    def spread(self, tied: Floats, out: Floats) -> None:
+        """Write what tied values (b, t, k) are at the control points to (n, d, k)."""
+        begin, tied = self.groups[0], np.concatenate([tied, tied[-1:]])
+        for r, u in self._weights():
+            part = out[self.offset + r :: self.per_block, begin:]
+            part[:] = (1 - u) * tied[: len(part)] + u * tied[1 : len(part) + 1]
+        out[: self.offset, begin:] = tied[0]
+
+    def variances(self, own: Floats, following: Floats) -> Floats:
+        """Return the variances (n, d) from the covariances of super-blocks, and those between each and the next one."""
+        at, found = slice(self.own, self.size), np.empty((self.controls, sum(self.groups), 1))
+        diagonal = np.einsum("bii->bi", own)
+        for block, values in enumerate(diagonal):
+            self.take(block, values[:, None], found)
+        tied = diagonal[:, at, None]
+        self.spread(tied, found)
+        between = np.zeros((len(own) + 1, *tied.shape[1:]))
+        between[:-2] = np.einsum("bii->bi", following[:, at, at])[:, :, None]
+        between[-2] = tied[-1]
+        bent = 0.5 * (tied + np.concatenate([tied[1:], tied[-1:]])) - between[:-1]
+        for r, u in self._weights():  # (1 - u)^2 a + u^2 b + 2 u (1 - u) c = (1 - u) a + u b - 2 u (1 - u) bent
+            part = found[self.offset + r :: self.per_block, self.groups[0] :]
+            part -= 2 * u * (1 - u) * bent[: len(part)]
+        return found[:, :, 0]
+
+    def gather(self, band: list[list[Floats]], tail: Floats, lower: Floats, chain: Floats) -> None:
+        """Write T' N T: blocks on the diagonal (b, s, s), and transposed those after them and T' tail (b, s + t, s).
+
+        Of the diagonal ones the part right of the diagonal is written, which is the triangle that LAPACK reads.
+        """
+        if library.load_kernel() is not None:
+            library.gather_tied(
+                per_block=self.per_block,
+                offset=self.offset,
+                groups=self.groups,
+                band=band,
+                tail=tail,
+                lower=lower,
+                chain=chain,
+            )
+            return
+        for begin in range(0, tail.shape[2], _COLUMNS):
+            some = slice(begin, begin + _COLUMNS)
+            chain[:, self.size :][:, some] = np.swapaxes(self.folded(tail[:, :, some]), 1, 2)
+        self._gather_first(band[0][0], lower, chain)
+        padding = np.arange(self.controls * self.groups[0] - (self.blocks - 1) * self.own, self.own)
+        lower[-1, padding, padding] = 1.0  # control points that are not there are unit and alone
+        begin = self.own
+        for group, size in enumerate(self.groups[1:], 1):
+            at = slice(begin, begin + size)
+            self._gather_coupling(band[0][group], band[group][0], at, lower, chain)
+            self._gather_tied(band[group][group], at, lower, chain)
+            begin += size
+
+    def _gather_first(self, band: Floats, lower: Floats, chain: Floats) -> None:
+        d, per_block = self.groups[0], self.per_block
+        for row in range(per_block):
+            part = band[row::per_block]
+            rows = slice(d * row, d * (row + 1))
+            for j in range(per_block + 1):
+                column = row + j
+                at = slice(d * (column % per_block), d * (column % per_block + 1))
+                if column < per_block:
+                    lower[: len(part), rows, at] = part[:, :, j]
+                else:
+                    chain[: len(part), at, rows] = np.swapaxes(part[:, :, j], 1, 2)
+
+    def _gather_coupling(self, later: Floats, earlier: Floats, at: slice, lower: Floats, chain: Floats) -> None:
+        """Add the products of the first group with a tied one at later (n, d, order, t) or earlier control points."""
+        d, per_block, blocks = self.groups[0], self.per_block, self.blocks
+        for row, j in np.ndindex(per_block, per_block + 2):
+            j = j + self.offset - per_block  # noqa: PLW2901
+            rows = slice(d * row, d * (row + 1))
+            begin = max(0, -((row + j - self.offset) // per_block))  # first block in which the tied one is there
+            stop = (self.controls - 1 - row - max(j, 0)) // per_block + 1
+            if stop <= begin:
+                continue
+            first = slice(row + begin * per_block, row + (stop - 1) * per_block + 1, per_block)
+            tied = slice(first.start + j, first.stop + j, per_block)
+            part = later[first, :, j] if j >= 0 else np.swapaxes(earlier[tied, :, -j], 1, 2)
+            if j == 0:
+                part = part + np.swapaxes(earlier[first, :, 0], 1, 2)
+            ahead, r = divmod(row + j - self.offset, per_block)
+            for block, weight in ((ahead, 1 - r / per_block), (ahead + 1, r / per_block)):
+                if not weight:
+                    continue
+                if block == 0:
+                    lower[begin:stop, rows, at] += weight * part
+                elif block > 0:
+                    chain[begin:stop, at, rows] += weight * np.swapaxes(part, 1, 2)
+                else:
+                    skipped = max(1 - begin, 0)  # no block before the first
+                    chain[begin + skipped - 1 : stop - 1, rows, at] += weight * part[skipped:]
+        lower[blocks - 1, : self.own, at] += chain[blocks - 1, at, : self.own].T
+        chain[blocks - 1, at, : self.own] = 0.0
+
+    def _gather_tied(self, band: Floats, at: slice, lower: Floats, chain: Floats) -> None:
+        """Add the products (n, t, order, t) of a tied group with itself, of control points and their next ones."""
+        size = band.shape[1]
+        on, after = (np.zeros((self.blocks + 1, size, size)) for _ in range(2))
+        for r, u in self._weights():
+            part = band[self.offset + r :: self.per_block]
+            count, then = len(part), u + 1 / self.per_block
+            same, following = part[:, :, 0], part[:, :, 1]
+            both = following + np.swapaxes(following, 1, 2)
+            on[:count] += (1 - u) ** 2 * same + (1 - u) * (1 - then) * both
+            on[1 : count + 1] += u**2 * same + u * then * both
+            after[:count] += (1 - u) * u * same + (1 - u) * then * following
+            after[:count] += u * (1 - then) * np.swapaxes(following, 1, 2)
+        start = band[: self.offset]
+        on[0] += start[:, :, 0].sum(axis=0) + start[:, :, 1].sum(axis=0) + start[:, :, 1].sum(axis=0).T
+        on[-2] += on[-1] + after[-2] + after[-2].T
+        lower[:, at, at] = on[:-1]
+        chain[:-1, at, at] = np.swapaxes(after[:-2], 1, 2)
+
+    def _weights(self) -> list[tuple[int, float]]:
+        return [(r, r / self.per_block) for r in range(self.per_block)]
 
 
 class BorderedBand:
@@ -162,330 +352,45 @@ class BorderedBand:
         corner = np.einsum("ii->i", self.corner)
         corner += damping * corner
 
-    def factorised(self) -> "Factor":
-        """Return the factor, which is valid until the next one is made in the same workspace.
+    def gathered(self) -> tuple[Floats, Floats]:
+        """Return the super-blocks on the diagonal (b, s, s), and [E | F | r] transposed (b, s + p + q, s).
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is not positive definite.
+        Transposed rows in C order are columns in Fortran order, so that LAPACK works in place.
         """
-        return _factorise(self)
-
-
-@value_class
-class Factor:
-    """Block Cholesky factor of the chain, with border and right-hand sides eliminated.
-
-    Attributes
-    ----------
-    lower : (b, s, s) Cholesky factors L of the super-blocks, transposed
-    eliminated : (b, s + p + q, s) rows [L^-1 E | L^-1 F | L^-1 r] of each super-block, transposed
-    schur : (p + w, p + w) Schur complement of the border parameters, the wide ones last
-    schur_sides : (p + w, q) its right-hand sides
-    controls, size : number of control points, scalars of each
-    wide : the wide part of the border, or None
-    ties : see `BorderedBand`
-    """
-
-    lower: Floats
-    eliminated: Floats
-    schur: Floats
-    schur_sides: Floats
-    controls: int
-    size: int
-    wide: WideBorder | None = None
-    ties: TiedLayout | None = None
-
-    @property
-    def narrow(self) -> int:
-        """Number p of border parameters that are not wide; they come first."""
-        return len(self.schur) - (self.wide.size if self.wide is not None else 0)
-
-    @property
-    def _border(self) -> slice:
-        s = self.lower.shape[1]
-        return slice(s, s + self.narrow)
-
-    def _side(self, side: int) -> int:
-        return self.lower.shape[1] + self.narrow + side
-
-    def quadratic(self, a: int, b: int, free: NDArray[np.intp], schur_inverse: Floats) -> float:
-        """Return r_a' N^-1 r_b of two right-hand sides, with the border parameters outside of `free` held."""
-        inner = float(np.sum(self.eliminated[:, self._side(a)] * self.eliminated[:, self._side(b)]))
-        left, right = self.schur_sides[free, a], self.schur_sides[free, b]
-        return inner + float(left @ schur_inverse @ right)
-
-    def quadratics(self, right: Floats, free: NDArray[np.intp], schur_inverse: Floats) -> Floats:
-        """Return R' N^-1 R (k, k) of right-hand sides (n, d, k) of the control points; see `quadratic`."""
-        inner, _, sides = self.further_sides(right, np.zeros((self.narrow, right.shape[2])))
-        return inner + sides[free].T @ schur_inverse @ sides[free]
-
-    def further_sides(
-        self, right: Floats, border: Floats, sides: NDArray[np.intp] | None = None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Eliminate right-hand sides that the equations do not have.
-
-        Parameters
-        ----------
-        right, border : (n, d, k) of the control points, (p, k) of the border
-        sides : (q,) right-hand sides of the equations, none where not given
-
-        Returns
-        -------
-        inner, with_sides : (k, k), (q, k) r_a' (band alone)^-1 r_b with each other, and with those of the equations
-        schur_sides : (p + w, k) of the Schur complement
-        """
-        forward = self._forward(right)
-
-        def product(rows: slice | NDArray[np.intp]) -> Floats:
-            return np.tensordot(self.eliminated[:, rows], forward, axes=((0, 2), (0, 2)))
-
-        schur_sides = border - product(self._border)
-        if self.wide is not None:
-            wide = sum(
-                np.tensordot(rows, forward[first : first + len(rows)], axes=((0, 1), (0, 2)))
-                for first, rows in _wide_rows(self.wide, self)
-            )
-            schur_sides = np.concatenate([schur_sides, -np.asarray(wide)])
-        inner = np.tensordot(forward, forward, axes=((0, 2), (0, 2)))
-        own = np.zeros(0, np.intp) if sides is None else sides
-        return inner, product(self.lower.shape[1] + self.narrow + own), schur_sides
-
-    def inner(self, sides: NDArray[np.intp]) -> Floats:
-        """Return r_a' (band alone)^-1 r_b of all pairs of some right-hand sides."""
-        rows = self.eliminated[:, self.lower.shape[1] + self.narrow + sides]
-        return np.tensordot(rows, rows, axes=((0, 2), (0, 2)))
-
-    def substituted(self, side: int, parameters: Floats) -> Floats:
-        """Return the control points' part of the solution of N x = r, (n, d).
-
-        Parameters
-        ----------
-        side : right-hand side
-        parameters : (p + w,) the border parameters' part of the solution
-        """
-        blocks, s = self.lower.shape[:2]
-        right = self.eliminated[:, self._side(side)] - parameters[: self.narrow] @ self.eliminated[:, self._border]
-        if self.wide is not None and parameters[self.narrow :].any():
-            right -= self._forward(self.wide.times(parameters[self.narrow :, None]))[:, 0]
-        solution = np.empty((blocks, s))
-        following = np.zeros(s)
-        for k in range(blocks - 1, -1, -1):
-            rhs = right[k] - following @ self.eliminated[k, :s]
-            following = dtrsv(self.lower[k].T, rhs, lower=1, trans=1)
-            solution[k] = following
-        if self.ties is None:
-            return solution.reshape(-1, self.size)[: self.controls]
-        return self.ties.unfolded(solution)
-
-    def chain_solutions(
-        self, columns: NDArray[np.intp], wide: Floats | None = None, out: Floats | None = None
-    ) -> Floats:
-        """Return (band alone)^-1 C, (n, d, k), of some columns C of the border and, behind it, the right-hand sides.
-
-        Parameters
-        ----------
-        columns : (k,) which
-        wide : (w, k) by which the columns of the wide part are added to them
-        out : (n, d, k) where to write
-        """
-        blocks, s = self.lower.shape[:2]
-        found = np.empty((self.controls, self.size, len(columns))) if out is None else out
-        beyond = None if wide is None or self.wide is None else self._forward(self.wide.times(wide))
-        flat, ties = found.reshape(-1, len(columns)), self.ties
-        tied = np.empty((blocks, 0 if ties is None else s - ties.own, len(columns)))
-        following = np.zeros((len(columns), s))
-        for k in range(blocks - 1, -1, -1):
-            right = self.eliminated[k, s + columns]  # transposed: (k, s)
-            right -= following @ self.eliminated[k, :s]
-            if beyond is not None:
-                right += beyond[k]
-            dtrsm(1.0, self.lower[k].T, right.T, lower=1, trans_a=1, overwrite_b=1)
-            if ties is None:
-                flat[k * s : (k + 1) * s] = right.T[: len(flat) - k * s]
-            else:
-                tied[k] = ties.take(k, right.T, found)
-            following = right
+        n, d, p = self.border.shape
+        order, q, ties = self.order, self.rhs.shape[2], self.ties
         if ties is not None:
-            ties.spread(tied, found)
-        return found
-
-    def _forward(self, right: Floats) -> Floats:
-        """Return L^-1 of right-hand sides (n, d, k), block by block and transposed (b, k, s)."""
-        (blocks, s), count = self.lower.shape[:2], right.shape[2]
-        flat = (right if self.ties is None else self.ties.folded(right)).reshape(-1, count)
-        found = np.zeros((blocks, count, s))
-        for k in range(blocks):
-            part = flat[k * s : (k + 1) * s].T
-            found[k, :, : part.shape[1]] = part
-            if k:
-                found[k] -= found[k - 1] @ self.eliminated[k - 1, :s].T
-            dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, overwrite_b=1)
-        return found
-
-    def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> tuple[Floats, Floats]:
-        """Return the covariances of super-blocks, with the border parameters' uncertainty in them.
-
-        Returns
-        -------
-        own : (b, s, s) of every super-block
-        following : (b - 1, s, s) between every super-block (rows) and the next one (columns)
-        """
-        blocks, s = self.lower.shape[:2]
-        border, wide = s + free[free < self.narrow], free[free >= self.narrow] - self.narrow
-        beyond = repeat(np.zeros((s, 0))) if self.wide is None else _wide_rows_back(self.wide, self)
-        result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
-        own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
-        for k in range(blocks - 1, -1, -1):
-            inverse = dtrtri(self.lower[k].T, lower=1)[0]
-            gain = inverse.T @ self.eliminated[k, :s].T
-            own_border = np.concatenate([self.eliminated[k][border], next(beyond)[:, wide].T])
-            z = inverse.T @ own_border.T - gain @ z_next
-            spread = z @ schur_inverse
-            if k + 1 < blocks:
-                following[k] = spread @ z_next.T - gain @ own
-            own = inverse.T @ inverse + gain @ own @ gain.T
-            result[k] = own + spread @ z.T
-            z_next = z
-        return result, following
-
-    def variances(self, marginals: tuple[Floats, Floats]) -> Floats:
-        """Return the variances (n, d) of the control points' scalars from `marginals`."""
-        own, following = marginals
-        if self.ties is not None:
-            return self.ties.variances(own, following)
-        return np.einsum("bii->bi", own).reshape(-1, self.size)[: self.controls]
-
-
-def _factorise(system: BorderedBand) -> Factor:
-    p, q = system.border.shape[2], system.rhs.shape[2]
-    lower, chain = _gathered(system)
-    blocks, s = lower.shape[:2]
-    ahead = np.zeros((0, s))
-    for k in range(blocks):
-        if k:  # what block k - 1 sends on: its [E F r]' times its own E
-            update = ahead @ ahead[:s].T
-            lower[k] -= update[:s]
-            chain[k, s:] -= update[s:]
-        failed = dpotrf(lower[k].T, lower=1, clean=1, overwrite_a=1)[1]
-        if failed:
-            raise np.linalg.LinAlgError(f"super-block {k} of {blocks} is not positive definite")
-        dtrsm(1.0, lower[k].T, chain[k].T, lower=1, overwrite_b=1)
-        ahead = chain[k]
-    total = np.zeros((p + q, p + q))
-    for k in range(0, blocks, _TOGETHER):
-        rows = chain[k : k + _TOGETHER, s:].swapaxes(0, 1).reshape(p + q, -1)
-        total += rows @ rows.T
-    schur, sides = system.corner.copy(), system.corner_rhs.copy()
-    schur[:p, :p] -= total[:p, :p]
-    sides[:p] -= total[:p, p:]
-    factor = Factor(
-        lower=lower,
-        eliminated=chain,
-        schur=schur,
-        schur_sides=sides,
-        controls=len(system.border),
-        size=sum(system.groups),
-        wide=system.wide,
-        ties=system.ties,
-    )
-    if system.wide is None or not system.wide.size:
-        return factor
-    taken, cross = _taken(system.wide, factor)
-    schur[p:, p:] -= taken
-    schur[p:, :p] -= cross[:p].T
-    schur[:p, p:] -= cross[:p]
-    sides[p:] -= cross[p:].T
-    return factor
-
-
-_TOGETHER = 8  # blocks whose products are summed up at once: fewer and larger calls
-
-
-def _taken(wide: WideBorder, factor: Factor) -> tuple[Floats, Floats]:
-    """Return F' (band alone)^-1 F of the wide part F of the border, (w, w), and of the rest with it, (p + q, w)."""
-    s = factor.lower.shape[1]
-    found, cross = np.zeros((wide.size, wide.size), order="F"), np.zeros((factor.eliminated.shape[1] - s, wide.size))
-    for first, rows in _wide_rows(wide, factor):
-        flat, others = rows.reshape(-1, wide.size), factor.eliminated[first : first + len(rows), s:]
-        cross += others.swapaxes(0, 1).reshape(len(cross), -1) @ flat
-        dsyrk(1.0, flat.T, beta=1.0, c=found, overwrite_c=1)
-    return np.triu(found) + np.triu(found, 1).T, cross
-
-
-def _wide_rows(wide: WideBorder, factor: Factor) -> Iterator[tuple[int, Floats]]:
-    """Yield the first of some blocks, and L^-1 F of the wide border there, (b, s, w), valid until the next ones."""
-    blocks, s = factor.lower.shape[:2]
-    before, memory = np.zeros((s, wide.size)), np.zeros((_TOGETHER, s, wide.size))
-    for first in range(0, blocks, _TOGETHER):
-        yield first, _eliminated(wide, factor, first, before, memory)
-        before = memory[-1].copy()
-
-
-def _wide_rows_back(wide: WideBorder, factor: Factor) -> Iterator[Floats]:
-    """Yield L^-1 F of the wide border, (s, w), from the last block to the first: made twice, all are never held."""
-    memory = np.zeros((_TOGETHER, factor.lower.shape[1], wide.size))
-    before = [memory[-1].copy(), *(rows[-1].copy() for _, rows in _wide_rows(wide, factor))]
-    for number in range(len(before) - 2, -1, -1):
-        yield from _eliminated(wide, factor, number * _TOGETHER, before[number], memory)[::-1]
-
-
-def _eliminated(wide: WideBorder, factor: Factor, first: int, before: Floats, memory: Floats) -> Floats:
-    """Return L^-1 F of the wide border of some blocks (b, s, w) in a memory, by that of the block before them."""
-    (blocks, s), ties = factor.lower.shape[:2], factor.ties
-    d, own = (factor.size, s) if ties is None else (ties.groups[0], ties.own)
-    some, per_block = memory[: blocks - first], own // d
-    given = wide.blocks(first * per_block, min(len(some) * per_block, factor.controls - first * per_block))
-    some[:] = 0.0
-    for k in range(len(some)):
-        rows = some[k]
-        part = given[k * per_block : (k + 1) * per_block]
-        rows[:own].reshape(per_block, d, -1)[: len(part), : part.shape[1]] = part
-        if first + k:
-            rows -= factor.eliminated[first + k - 1, :s] @ before
-        dtrsm(1.0, factor.lower[first + k].T, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-        before = rows
-    return some
-
-
-def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
-    """Return the super-blocks on the diagonal (b, s, s), and [E | F | r] transposed (b, s + p + q, s).
-
-    Transposed rows in C order are columns in Fortran order, so that LAPACK works in place.
-    """
-    n, d, p = system.border.shape
-    order, q, ties = system.order, system.rhs.shape[2], system.ties
-    if ties is not None:
-        lower = system.workspace.zeros(_LOWER, (ties.blocks, ties.size, ties.size))
-        chain = system.workspace.zeros(_CHAIN, (ties.blocks, ties.size + p + q, ties.size))
-        ties.gather(system.band, system.tail, lower, chain)
+            lower = self.workspace.zeros(_LOWER, (ties.blocks, ties.size, ties.size))
+            chain = self.workspace.zeros(_CHAIN, (ties.blocks, ties.size + p + q, ties.size))
+            ties.gather(self.band, self.tail, lower, chain)
+            return lower, chain
+        per_block = max(order - 1, 1)
+        blocks, s = -(-n // per_block), per_block * d
+        lower = self.workspace.zeros(_LOWER, (blocks, s, s))
+        chain = self.workspace.zeros(_CHAIN, (blocks, s + p + q, s))
+        diagonal = lower.reshape(blocks, per_block, d, per_block, d)
+        ahead = chain[:, :s].reshape(blocks, per_block, d, per_block, d)  # E, transposed; a view
+        starts = self.starts()
+        pairs = [
+            (g, slice(starts[g], starts[g + 1]), h, slice(starts[h], starts[h + 1]))
+            for g, h in np.ndindex(len(self.groups), len(self.groups))
+        ]
+        for row in range(per_block):
+            count = len(range(row, n, per_block))
+            within = min(order, per_block - row)  # control points that are in the same block
+            for g, rows, h, columns in pairs:
+                part = self.band[g][h][row::per_block]
+                diagonal[:count, row, rows, row : row + within, columns] = part[:, :, :within]
+                ahead[:count, : order - within, columns, row, rows] = part[:, :, within:].transpose(0, 2, 3, 1)
+            for g, rows, h, columns in pairs:
+                if g != h:  # the control point with itself: its other triangle
+                    diagonal[:count, row, columns, row, rows] += np.swapaxes(
+                        self.band[g][h][row::per_block, :, 0], 1, 2
+                    )
+        whole = n // per_block
+        chain[:whole, s:] = self.tail[: whole * per_block].reshape(whole, s, p + q).transpose(0, 2, 1)
+        chain[whole:, s:, : (n - whole * per_block) * d] = self.tail[whole * per_block :].reshape(-1, p + q).T
+        # LAPACK reads one triangle only: the lower one of the Fortran view, the upper one of these rows.
+        alone = np.arange((n - (blocks - 1) * per_block) * d, s)  # padding control points are unit and alone
+        lower[-1, alone, alone] = 1.0
         return lower, chain
-    per_block = max(order - 1, 1)
-    blocks, s = -(-n // per_block), per_block * d
-    lower = system.workspace.zeros(_LOWER, (blocks, s, s))
-    chain = system.workspace.zeros(_CHAIN, (blocks, s + p + q, s))
-    diagonal = lower.reshape(blocks, per_block, d, per_block, d)
-    ahead = chain[:, :s].reshape(blocks, per_block, d, per_block, d)  # E, transposed; a view
-    starts = system.starts()
-    pairs = [
-        (g, slice(starts[g], starts[g + 1]), h, slice(starts[h], starts[h + 1]))
-        for g, h in np.ndindex(len(system.groups), len(system.groups))
-    ]
-    for row in range(per_block):
-        count = len(range(row, n, per_block))
-        within = min(order, per_block - row)  # control points that are in the same block
-        for g, rows, h, columns in pairs:
-            part = system.band[g][h][row::per_block]
-            diagonal[:count, row, rows, row : row + within, columns] = part[:, :, :within]
-            ahead[:count, : order - within, columns, row, rows] = part[:, :, within:].transpose(0, 2, 3, 1)
-        for g, rows, h, columns in pairs:
-            if g != h:  # the control point with itself: its other triangle
-                diagonal[:count, row, columns, row, rows] += np.swapaxes(system.band[g][h][row::per_block, :, 0], 1, 2)
-    whole = n // per_block
-    chain[:whole, s:] = system.tail[: whole * per_block].reshape(whole, s, p + q).transpose(0, 2, 1)
-    chain[whole:, s:, : (n - whole * per_block) * d] = system.tail[whole * per_block :].reshape(-1, p + q).T
-    # LAPACK reads one triangle only: the lower one of the Fortran view, the upper one of these rows.
-    alone = np.arange((n - (blocks - 1) * per_block) * d, s)  # padding control points are unit and alone
-    lower[-1, alone, alone] = 1.0
-    return lower, chain

@@ -7,6 +7,7 @@ import numpy as np
 
 from gnomon.estimate.trust.clusters import CandidateBlock, ClusterSums, _jackknife, model_steps, robust_variances
 from gnomon.solve.bordered_band import BorderedBand, Workspace
+from gnomon.solve.factorisation import Factor
 
 SIZE = 6
 
@@ -93,11 +94,11 @@ def test_a_factor_outlasts_other_equations_in_the_memory_of_its_own():
         return system
 
     workspace = Workspace()
-    factor = filled(workspace, 1).factorised()
+    factor = Factor.of(filled(workspace, 1))
     before = factor.substituted(0, np.ones(5)), factor.marginals(np.arange(5), np.eye(5))[0]
     other = filled(workspace.beside_a_factor(), 2)
     assert np.shares_memory(other.tail, workspace.zeros("tail", (1,)))  # which overwrites one number, of the first ones
-    again = other.factorised()
+    again = Factor.of(other)
     after = factor.substituted(0, np.ones(5)), factor.marginals(np.arange(5), np.eye(5))[0]
     for one, same in zip(before, after, strict=True):
         np.testing.assert_array_equal(one, same)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.solve.bordered_band import BorderedBand
+from gnomon.solve.factorisation import Factor
 
 
 def equations(*, controls, order, groups, parameters=4, sides=2, seed=0, triangles="upper"):
@@ -63,7 +64,7 @@ SHAPES = [
 def test_solution_is_that_of_the_dense_equations(shape, triangles):
     system, dense, right = equations(**shape, triangles=triangles)
     p, chain = len(system.corner), len(dense) - len(system.corner)
-    factor = system.factorised()
+    factor = Factor.of(system)
     expected = np.linalg.solve(dense, right)
     scale = np.abs(expected).max() * np.linalg.cond(dense)
     schur = dense[chain:, chain:] - dense[chain:, :chain] @ np.linalg.solve(
@@ -93,7 +94,7 @@ def test_solution_is_that_of_the_dense_equations(shape, triangles):
 def test_marginals_are_blocks_of_the_dense_covariance(shape):
     system, dense, _ = equations(**shape)
     chain, p = len(dense) - len(system.corner), len(system.corner)
-    factor = system.factorised()
+    factor = Factor.of(system)
     inverse = np.linalg.inv(dense)
     marginals, following = factor.marginals(np.arange(p), np.linalg.inv(factor.schur))
     size = marginals.shape[1]
@@ -115,7 +116,7 @@ def test_held_parameters_of_the_border():
     kept = np.r_[0:chain, chain + free]
     inverse = np.linalg.inv(dense[np.ix_(kept, kept)])
     expected = inverse @ right[kept]
-    factor = system.factorised()
+    factor = Factor.of(system)
     covariance = np.linalg.inv(factor.schur[np.ix_(free, free)])
     np.testing.assert_allclose(covariance, inverse[chain:, chain:], rtol=1e-9, atol=1e-15)
     parameters = np.zeros(6)
@@ -133,12 +134,12 @@ def test_held_parameters_at_a_value_of_their_own():
     system, dense, right = equations(controls=12, order=4, groups=(4,), parameters=3, sides=1)
     given = np.array([0.3, -2.0, 1.5])
     expected = np.linalg.solve(dense[:48, :48], right[:48, 0] - dense[:48, 48:] @ given)
-    np.testing.assert_allclose(system.factorised().substituted(0, given).ravel(), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(Factor.of(system).substituted(0, given).ravel(), expected, rtol=0, atol=1e-12)
 
 
 def test_inner_products_of_the_band_alone():
     system, dense, right = equations(controls=14, order=4, groups=(3, 3), parameters=5, sides=4)
-    factor = system.factorised()
+    factor = Factor.of(system)
     sides = np.array([1, 3])
     expected = right[:84, sides].T @ np.linalg.solve(dense[:84, :84], right[:84, sides])
     np.testing.assert_allclose(factor.inner(sides), expected, rtol=1e-10)
@@ -148,7 +149,7 @@ def test_marquardt_damping_scales_the_diagonal():
     system, dense, right = equations(controls=11, order=4, groups=(2, 3), parameters=4, sides=1)
     system.damped(0.25)
     np.fill_diagonal(dense, 1.25 * np.diag(dense))
-    factor = system.factorised()
+    factor = Factor.of(system)
     parameters = np.linalg.solve(factor.schur, factor.schur_sides[:, 0])
     expected = np.linalg.solve(dense, right[:, 0])
     np.testing.assert_allclose(parameters, expected[55:], rtol=1e-9)
@@ -157,7 +158,7 @@ def test_marquardt_damping_scales_the_diagonal():
 
 def test_right_hand_sides_that_come_later():
     system, dense, _ = equations(controls=11, order=4, groups=(3, 2), parameters=3)
-    factor = system.factorised()
+    factor = Factor.of(system)
     later = np.random.default_rng(5).normal(size=(11, 5, 4))
     there = np.concatenate([later.reshape(55, 4), np.zeros((3, 4))])
     held = np.arange(55 + 2)  # the last parameter of the border is not free
@@ -169,7 +170,7 @@ def test_right_hand_sides_that_come_later():
 
 def test_right_hand_sides_that_come_later_are_as_those_of_the_equations():
     system, _, right = equations(controls=11, order=4, groups=(3, 2), parameters=3)
-    factor, sides = system.factorised(), np.arange(right.shape[1])
+    factor, sides = Factor.of(system), np.arange(right.shape[1])
     found = factor.further_sides(right[:55].reshape(11, 5, -1), right[55:], sides)
     for matrix, expected in zip(found, (factor.inner(sides), factor.inner(sides), factor.schur_sides), strict=True):
         np.testing.assert_allclose(matrix, expected, rtol=1e-9, atol=1e-12)
@@ -187,7 +188,7 @@ def test_badly_scaled_equations():
     system.rhs *= units[:, None]
     system.corner *= np.outer(border_units, border_units)
     system.corner_rhs *= border_units[:, None]
-    factor = system.factorised()
+    factor = Factor.of(system)
     parameters = np.linalg.solve(factor.schur, factor.schur_sides[:, 0])
     expected = np.linalg.solve(dense, right[:, 0])
     np.testing.assert_allclose(parameters * border_units, expected[120:], rtol=1e-7)
@@ -200,7 +201,7 @@ def test_what_nothing_determines_is_named(control, block):
     system, _, _ = equations(controls=20, order=4, groups=(2, 1))
     system.band[0][0][control, 1, 0, 1] = -1.0
     with pytest.raises(np.linalg.LinAlgError, match=f"super-block {block} of 7 is not positive definite"):
-        system.factorised()
+        Factor.of(system)
 
 
 def test_an_empty_control_point_is_named():
@@ -208,4 +209,4 @@ def test_an_empty_control_point_is_named():
     system.band[0][0][:, np.arange(2), 0, np.arange(2)] = 1.0
     system.band[0][0][4] = 0.0
     with pytest.raises(np.linalg.LinAlgError, match="super-block 1 of 3"):
-        system.factorised()
+        Factor.of(system)

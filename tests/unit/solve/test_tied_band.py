@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.solve.bordered_band import BorderedBand
+from gnomon.solve.factorisation import Factor
 
 
 def tied_equations(*, controls, order, groups, offset, tied, parameters=4, sides=3, seed=0):
@@ -76,7 +77,7 @@ def test_the_kernel_gives_what_numpy_gives(shape, monkeypatch):
     found = []
     for switch in ("1", "0"):
         monkeypatch.setenv("GNOMON_KERNEL", switch)
-        factor = tied_equations(**shape, tied=True)[0].factorised()
+        factor = Factor.of(tied_equations(**shape, tied=True)[0])
         found.append((factor.lower, factor.eliminated, factor.schur, factor.schur_sides))
     for fast, plain in zip(*found, strict=True):
         np.testing.assert_allclose(fast, plain, rtol=1e-12, atol=1e-12 * np.abs(plain).max())
@@ -93,7 +94,7 @@ def test_solution_is_that_of_the_dense_equations_with_the_ties(shape, switch, mo
     whole[:chain, : follow.shape[1]], whole[chain:, follow.shape[1] :] = follow, np.eye(p)
     reduced = whole.T @ dense @ whole
     expected = whole @ np.linalg.solve(reduced, whole.T @ right)
-    factor = system.factorised()
+    factor = Factor.of(system)
     parameters = np.linalg.solve(factor.schur, factor.schur_sides)
     np.testing.assert_allclose(parameters, expected[chain:], rtol=1e-8, atol=1e-10)
     for side in range(right.shape[1]):
@@ -114,6 +115,6 @@ def test_variances_are_those_of_the_dense_covariance():
         whole = np.zeros((len(dense), follow.shape[1] + p))
         whole[:chain, : follow.shape[1]], whole[chain:, follow.shape[1] :] = follow, np.eye(p)
         expected = np.diag(whole @ np.linalg.inv(whole.T @ dense @ whole) @ whole.T)[:chain]
-        factor = system.factorised()
+        factor = Factor.of(system)
         found = factor.variances(factor.marginals(np.arange(p), np.linalg.inv(factor.schur)))
         np.testing.assert_allclose(found.ravel(), expected, rtol=1e-8)

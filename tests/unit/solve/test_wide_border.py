@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from test_bordered_band import SHAPES, equations
 
 from gnomon.solve.bordered_band import BorderedBand, Workspace
+from gnomon.solve.factorisation import Factor
 
 
 class Stored:
@@ -56,7 +57,7 @@ def test_a_wide_border_is_the_border(shape):
     count = shape.get("parameters", 4)
     for wide in sorted({min(1, count), count // 2, count}):
         system, full = widened(shape, wide)
-        found, expected = system.factorised(), full.factorised()
+        found, expected = Factor.of(system), Factor.of(full)
         p, q = count - wide, full.rhs.shape[2]
         assert found.narrow == p
         scale = np.abs(expected.schur).max() if count else 1.0

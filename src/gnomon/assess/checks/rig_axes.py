@@ -25,7 +25,7 @@ from ...frozen import value_class
 from ...geometry.rotations import rk4n_steps, rotation_from_quaternion, rotvec_from_rotation, running_products
 from ...recording import Floats
 from ...results.result import Booleans
-from ...solve.lapack import solve_banded
+from ...solve.factorisation import solve_banded
 from .board_views import BoardTurns, board_turns
 
 _STEP_S = 0.1

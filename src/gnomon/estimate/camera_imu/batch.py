@@ -19,7 +19,8 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...solve.bordered_band import BorderedBand, Factor, Workspace
+from ...solve.bordered_band import BorderedBand, Workspace
+from ...solve.factorisation import Factor
 from .layout import BorderLayout
 from .parameters import RigParameters
 from .terms.assembly import TRIAD, add_priors, add_smoothness, add_walks, random_walk_links, scalar_groups, summed_up

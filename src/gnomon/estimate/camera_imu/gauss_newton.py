@@ -14,7 +14,8 @@ import numpy as np
 from ...errors import OptionError, SolveError
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from ...solve.bordered_band import Factor, Workspace
+from ...solve.bordered_band import Workspace
+from ...solve.factorisation import Factor
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, found_walks, linearize_batch, walk_sums
 from .layout import BorderLayout
 from .terms.inertial_terms import InertialNoise
@@ -75,7 +76,7 @@ def gauss_newton_step(lin: NormalEquations, damping: float = 0.0) -> GaussNewton
     """
     if damping:
         lin.system.damped(damping)
-    return step_by(lin.system.factorised(), lin.layout)
+    return step_by(Factor.of(lin.system), lin.layout)
 
 
 def step_by(factor: Factor, layout: BorderLayout) -> GaussNewtonStep:

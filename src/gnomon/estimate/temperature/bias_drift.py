@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from ...frozen import value_class
 from ...recording import Floats
-from ...solve.lapack import dpotrf, dpotrs
+from ...solve.factorisation import dpotrf, dpotrs
 from ..trust.between_recordings import scaled_inverse
 
 _LIKELY = 1e-5

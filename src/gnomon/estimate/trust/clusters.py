@@ -160,7 +160,7 @@ def _solved(matrix: Floats, right: Floats) -> Floats:
 def _solved_if_scaled(matrix: Floats, right: Floats) -> Floats:
     """Solve equations of unit diagonal; what nothing tells may be anywhere."""
     if matrix.shape[-1] >= _MANY:
-        from ...solve.lapack import solve_positive
+        from ...solve.factorisation import solve_positive
 
         with suppress(np.linalg.LinAlgError):  # not positive definite, but for rounding
             sides = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1])).reshape(-1, *right.shape[-2:])

@@ -37,7 +37,7 @@ from ....models.frames import Origin
 from ....models.target import Target
 from ....options import CameraImuOptions
 from ....recording import CameraFrames, Floats
-from ....solve.lapack import solve_banded
+from ....solve.factorisation import solve_banded
 from ..batch import RigState
 from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status

@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from gnomon.solve import lapack
+from gnomon.solve.factorisation import solve_banded
 
 USED = """
 import numpy as np
@@ -12,7 +12,7 @@ matrix = np.array([[4.0, 1.0], [1.0, 3.0]])
 factor, failed = {routine}(matrix, lower=1)
 assert not failed and np.allclose(np.tril(factor) @ np.tril(factor).T, matrix)
 """
-OURS = "from gnomon.solve.lapack import dpotrf\n" + USED.format(routine="dpotrf")
+OURS = "from gnomon.solve.factorisation import dpotrf\n" + USED.format(routine="dpotrf")
 PUBLIC = "import scipy.linalg, scipy.optimize\n" + USED.format(routine="scipy.linalg.lapack.dpotrf")
 FAILING = """
 import importlib.util
@@ -36,7 +36,7 @@ def test_banded_equations_are_solved(rows, shape):
     lower, dense = banded(rows)
     right = np.random.default_rng(4).standard_normal(shape)
     kept = lower.copy(), right.copy()
-    found = lapack.solve_banded(lower, right)
+    found = solve_banded(lower, right)
     assert found.shape == shape
     np.testing.assert_allclose(dense @ found, right, atol=1e-12)
     np.testing.assert_array_equal(lower, kept[0])
@@ -47,7 +47,7 @@ def test_equations_that_have_no_minimum_are_refused():
     lower, _ = banded(3)
     lower[0, 7] = -1.0
     with pytest.raises(np.linalg.LinAlgError, match="row 8"):
-        lapack.solve_banded(lower, np.ones(40))
+        solve_banded(lower, np.ones(40))
 
 
 @pytest.mark.parametrize("code", [OURS + PUBLIC, PUBLIC + OURS, FAILING + OURS])
