@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from .formats.own.noise_file import load_noise, save_noise
     from .formats.shared.losses import Loss
     from .models.camera import Camera
-    from .models.noise import ImuNoise
     from .models.target import Target
     from .options import (
         CameraImuOptions,
@@ -65,6 +64,7 @@ if TYPE_CHECKING:
     from .readers.recordings import read
     from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
+    from .recording.samples import ImuNoise
     from .report.comparison import write_comparison_report, write_verification_report
     from .report.noise import write_noise_report
     from .report.page import write_report
@@ -127,7 +127,6 @@ _HOMES = {
         "formats.own.noise_file": "load_noise save_noise",
         "formats.shared.losses": "Loss",
         "models.camera": "Camera",
-        "models.noise": "ImuNoise",
         "models.target": "Target",
         "options": (
             "CameraImuOptions CameraOptions FrameSelection ImuOptions MagnetometerOptions NoiseOptions StatedRate "
@@ -137,6 +136,7 @@ _HOMES = {
         "readers.recordings": "read",
         "readers.samples.turntable_files": "read_turntable",
         "recording": "CameraFrames ImuSamples Poses Recording TriadSamples",
+        "recording.samples": "ImuNoise",
         "report.comparison": "write_comparison_report write_verification_report",
         "report.noise": "write_noise_report",
         "report.page": "write_report",

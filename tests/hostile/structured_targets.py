@@ -28,10 +28,10 @@ from gnomon.formats.own.dataclass_file import options_text, read_options, read_u
 from gnomon.formats.own.noise_file import load_noise, noise_text
 from gnomon.formats.sensor_inputs import read_cameras, read_imu_noise, read_imus, read_rig
 from gnomon.formats.shared.losses import StatedImu
-from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target as Board
 from gnomon.readers.images.image_recording import read_sensor
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
+from gnomon.recording.samples import ImuNoise
 from gnomon.results.calibration import Calibration, Provenance
 from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from gnomon.geometry.rotations import rotation_from_rotvec
-from gnomon.models.noise import ImuNoise
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, ImuSamples, TriadSamples
+from gnomon.recording.samples import ImuNoise
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.scenarios.camera_imu import CameraImuScenario
 from gnomon.simulate.scenarios.cameras import INTRINSICS

@@ -14,9 +14,9 @@ from gnomon.detect.samples.stillness import static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
-from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples
+from gnomon.recording.samples import ImuNoise
 from gnomon.results.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
 from gnomon.results.result import runs_below
 from gnomon.results.sensors import covariance_names

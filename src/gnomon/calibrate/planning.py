@@ -25,12 +25,12 @@ from ..formats.kalibr.target import read_target
 from ..formats.sensor_inputs import read_cameras, read_imus
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.noise import ImuNoise, consumer_mems
 from ..models.target import Target
 from ..options import ImuOptions
 from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, TriadSamples
+from ..recording.samples import ImuNoise, consumer_mems
 from ..results.calibration import Calibration, Provenance
 from ..results.result import interval_means
 from ..results.sensors import CameraCalibration

@@ -52,9 +52,9 @@ from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_varian
 from ..estimate.multiposition.problem import MultiPositionProblem, to_physical_units
 from ..frozen import value_class
 from ..geometry.rotations import rotation_from_rotvec, skew, tangent_basis
-from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import CameraFrames, Floats
+from ..recording.samples import ImuNoise
 from ..results.calibration import (
     Assessment,
     Calibration,

@@ -17,9 +17,9 @@ from .arguments import Entry, command_entries
 from .command import Command
 
 if TYPE_CHECKING:
-    from ..models.noise import ImuNoise
     from ..options.requirements import Use
     from ..recording import Recording, Source
+    from ..recording.samples import ImuNoise
     from ..results.calibration import Calibration
 
 

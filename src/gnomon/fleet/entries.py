@@ -15,7 +15,7 @@ from ..errors import OptionError, install_line
 from ..frozen import value_class
 from ..output import write_whole
 from ..recording import Floats
-from ..recording.samples import make_dataframe
+from ..recording.dataframes import make_dataframe
 from ..results.calibration import Calibration
 from ..results.sensors import calibration_parameters, element_units
 

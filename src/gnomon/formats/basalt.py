@@ -15,9 +15,9 @@ from ..errors import OptionError
 from ..geometry.rotations import inverse_pose, quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName, ProjectionName
-from ..models.noise import ImuNoise, consumer_mems
 from ..models.project_forms import BasaltTriad
 from ..recording import Floats
+from ..recording.samples import ImuNoise, consumer_mems
 from ..results.calibration import (
     Calibration,
     CameraCalibration,

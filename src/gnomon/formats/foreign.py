@@ -8,9 +8,9 @@ import numpy as np
 from ..errors import FormatError
 from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
-from ..models.noise import ImuNoise
 from ..models.target import Target
 from ..recording import Floats, frozen_array
+from ..recording.samples import ImuNoise
 from ..results.calibration import (
     AccelerometerCalibration,
     Assessment,

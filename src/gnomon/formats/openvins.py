@@ -12,9 +12,9 @@ import numpy as np
 
 from ..frozen import field_names
 from ..geometry.rotations import invert_matrix
-from ..models.noise import ImuNoise
 from ..models.project_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..recording import Floats
+from ..recording.samples import ImuNoise
 from ..results.calibration import (
     Calibration,
     CameraCalibration,

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import FormatError
 from ..geometry.rotations import inverse_pose
 from ..models.camera import Camera
-from ..models.noise import ImuNoise
+from ..recording.samples import ImuNoise
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .shared.foreign_yaml import (

@@ -15,10 +15,10 @@ from ..errors import GnomonError, SolveError
 from ..estimate.multiposition.problem import MultiPositionProblem, build_problem, gyroscope_intervals
 from ..frozen import value_class
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.noise import consumer_mems
 from ..options.requirements import Use
 from ..readers.samples.recognise import turning_of_gravity
 from ..recording import Floats, ImuSamples
+from ..recording.samples import consumer_mems
 from ..results.calibration import UNSTATED_GRAVITY, Calibration, Provenance
 from ..results.result import Booleans, StaticIntervals, interval_means
 from ..results.trust import Need

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..frozen import value_class
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
-from ..recording.samples import dataframe_text, is_dataframe
+from ..recording.dataframes import dataframe_text, is_dataframe
 from ..units import Units
 from .devices.device_log import is_device_log
 from .files import (
@@ -86,7 +86,7 @@ def read(
     for path in paths:
         if not isinstance(path, str | PathLike) and not is_dataframe(path):
             raise OptionError(f"gnomon.read takes paths, or a DataFrame, and was given a {type(path).__name__}.")
-    frames = [path for path in paths if is_dataframe(path)]
+    frames = [path for path in paths if not isinstance(path, str | PathLike)]
     if frames:
         if len(paths) > 1:
             raise OptionError("a DataFrame holds a recording; of several things one at a time is read.")

@@ -1,4 +1,6 @@
-"""Samples of an IMU or of one triad, as recorded, with their timestamps and their unit; mean readings at rest.
+"""Samples of an IMU or of one triad, as recorded, with their timestamps, their unit and what is known of their noise.
+
+Mean readings at rest stand for samples where only these were recorded.
 
 Their arrays are read-only and finite, on clocks with gaps; the instants of sampling follow from the timestamps.
 
@@ -6,21 +8,21 @@ Medians, quantiles and distinct values of few numbers are found here: NumPy's ow
 masked arrays.
 """
 
-import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import wraps
 from itertools import compress
+from math import isfinite
 from typing import Any, Literal, TypeVar
 from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import OptionError, RecordingError, install_line
+from ..errors import OptionError, RecordingError
 from ..frozen import value_class
-from ..models.noise import ImuNoise
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, TEMPERATURE_UNITS_DEGC
+from .dataframes import make_dataframe
 
 
 def median_of(values: ArrayLike, axis: int | None = None) -> Any:
@@ -186,56 +188,6 @@ def smallest_steps(values: Floats) -> Floats:
     return np.where(found < np.inf, found, np.nan)
 
 
-_MODULES = ("pandas", "polars")
-
-
-def is_dataframe(thing: object) -> bool:
-    """Return whether something is a table with named columns, as those of pandas and polars are."""
-    return hasattr(thing, "columns") and hasattr(thing, "__getitem__") and not isinstance(thing, type)
-
-
-def make_dataframe(columns: Mapping[str, Any]) -> Any:
-    """Return columns as a DataFrame of pandas, or of polars where that is what is installed.
-
-    Raises
-    ------
-    OptionError
-        If neither is installed.
-    """
-    for name in _MODULES:
-        try:
-            return importlib.import_module(name).DataFrame(dict(columns))
-        except ImportError:
-            continue
-    raise OptionError(f"a DataFrame needs pandas or polars. Run: {install_line('pandas')}")
-
-
-def dataframe_text(frame: Any) -> bytes:
-    """Return a DataFrame as the text of a table with a header; an index with a name, or of times, is a column.
-
-    Raises
-    ------
-    RecordingError
-        If a column holds no numbers or times.
-    """
-    index = getattr(frame, "index", None)
-    if index is not None and (getattr(index, "name", None) or str(getattr(index, "dtype", "")).startswith("datetime")):
-        frame = frame.reset_index()
-    named = [_column(str(name), np.asarray(frame[name])) for name in frame.columns]
-    lines = [",".join(name for name, _ in named)]
-    lines += [",".join(map(repr, row)) for row in zip(*(values.tolist() for _, values in named), strict=True)]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _column(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
-    """Return the name in the header, and numbers; times are nanoseconds."""
-    if np.issubdtype(values.dtype, np.datetime64):
-        return "timestamp [ns]", values.astype("datetime64[ns]").astype(np.int64)
-    if values.dtype.kind not in "fiu":
-        raise RecordingError(f"column {name} of the DataFrame holds {values.dtype}, not numbers. Leave it out.")
-    return name.replace(",", " "), values
-
-
 def _freeze(samples: "TriadSamples | TemperatureSamples", expected: str, row: tuple[int, ...]) -> None:
     """Make timestamps (n,) and values (n, *row) read-only arrays, if they fit together."""
     t_ns, values = frozen_array(samples.t_ns, np.int64), frozen_array(samples.values)
@@ -341,6 +293,48 @@ _UNITS = {
     "gyroscope": GYROSCOPE_UNITS_RAD_S,
     "magnetometer": (*MAGNETOMETER_UNITS_UT, "local field"),  # what is calibrated without its strength has that
 }
+
+
+@value_class(eq=True)
+class ImuNoise:
+    """Nominal noise of an IMU: white noise densities, and the random walks of both biases.
+
+    A sample at `update_rate` Hz has a standard deviation of density * sqrt(update_rate); in a time t the bias walks by
+    random_walk * sqrt(t).
+
+    Attributes
+    ----------
+    accelerometer_noise_density : [m/s^2/sqrt(Hz)]
+    accelerometer_random_walk : [m/s^3/sqrt(Hz)]
+    gyroscope_noise_density : [rad/s/sqrt(Hz)]
+    gyroscope_random_walk : [rad/s^2/sqrt(Hz)]
+
+    Raises
+    ------
+    OptionError
+        If a value is not a finite number above zero.
+    """
+
+    accelerometer_noise_density: float
+    accelerometer_random_walk: float
+    gyroscope_noise_density: float
+    gyroscope_random_walk: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (isfinite(value) and value > 0):
+                raise OptionError(f"{field.name} {value:g} must be a finite number greater than zero.")
+
+
+def consumer_mems() -> ImuNoise:
+    """Return what is taken where no noise is stated; of the white noise only until the residuals tell it."""
+    return ImuNoise(
+        accelerometer_noise_density=4e-3,
+        accelerometer_random_walk=1e-3,
+        gyroscope_noise_density=2e-4,
+        gyroscope_random_walk=4e-5,
+    )
 
 
 @value_class

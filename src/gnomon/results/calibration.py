@@ -16,7 +16,7 @@ from ..frozen import FrozenMapping, value_class
 from ..models.frames import Origin
 from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from ..recording import Floats, Source, frozen_array
-from ..recording.samples import make_dataframe
+from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2
 from .moved import imus_at_temperature, moved_into_frame, moved_to_origin, rotate_imu
 from .sensors import (

@@ -18,9 +18,9 @@ import numpy as np
 from ..errors import OptionError
 from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
-from ..models.noise import ImuNoise
 from ..recording import Floats
-from ..recording.samples import make_dataframe
+from ..recording.dataframes import make_dataframe
+from ..recording.samples import ImuNoise
 from ..units import STANDARD_GRAVITY_M_S2
 from .calibration import Provenance, Verdict
 from .result import Plotted

@@ -14,8 +14,8 @@ from ..geometry.rotations import Floats, rotation_from_quaternion, rotation_from
 from ..models.camera import Camera
 from ..models.forms import DIAGONAL, FULL, LOWER
 from ..models.gravity import EARTH_RATE_RAD_S
-from ..models.noise import ImuNoise
 from ..models.target import Target
+from ..recording.samples import ImuNoise
 from ..results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from .scenarios.camera_imu import CameraImuScenario, ImuPreset
 

@@ -13,9 +13,9 @@ from ..errors import GnomonError
 from ..frozen import field_names, value_class
 from ..geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from ..models.forms import DIAGONAL, LOWER
-from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..recording.samples import ImuNoise
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CameraImuDiagnostics
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu

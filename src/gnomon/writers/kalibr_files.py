@@ -27,10 +27,10 @@ from ..formats.shared.losses import (
 from ..frozen import value_class
 from ..geometry.rotations import inverse_pose, quaternion_from_rotation
 from ..models.camera import Camera
-from ..models.noise import ImuNoise, consumer_mems
 from ..models.target import Target
 from ..output import write_together
 from ..recording import Floats, ImuSamples, Integers, Recording
+from ..recording.samples import ImuNoise, consumer_mems
 from ..results.calibration import Calibration, CameraCalibration
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics, NoiseLevel, TrajectoryTrack
 from ..results.result import Result

@@ -8,7 +8,7 @@ from gnomon.assess.cameras.camera_imu_verdict import through_stated_focal
 from gnomon.assess.directions import axis_words, duration_text
 from gnomon.assess.observability import LIMITS, known_of, weak_directions
 from gnomon.calibrate.predicted import planned_camera_imu
-from gnomon.models.noise import consumer_mems
+from gnomon.recording.samples import consumer_mems
 from gnomon.simulate.planned import usual_rig
 
 RATE_HZ = 100.0

@@ -13,7 +13,7 @@ from gnomon.formats.conversion import WITH_NOISE
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.own.noise_file import save_noise
 from gnomon.formats.shared.losses import StatedImu
-from gnomon.models.noise import ImuNoise
+from gnomon.recording.samples import ImuNoise
 from gnomon.results.calibration import Provenance
 from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 

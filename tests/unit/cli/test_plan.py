@@ -10,7 +10,7 @@ import gnomon
 from gnomon.cli import main
 from gnomon.errors import OptionError
 from gnomon.formats.shared.yaml_text import kalibr_yaml
-from gnomon.models.noise import ImuNoise
+from gnomon.recording.samples import ImuNoise
 from gnomon.simulate.camera_imu_rig import CONSUMER_NOISE
 
 BLOCKS = (

@@ -16,7 +16,7 @@ from gnomon.formats.kalibr.imu import StatedImu
 from gnomon.formats.openvins import imu_chain_text
 from gnomon.formats.shared.losses import formats_of
 from gnomon.models.camera import Camera
-from gnomon.models.noise import ImuNoise
+from gnomon.recording.samples import ImuNoise
 from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
 from gnomon.results.sensors import covariance_names
 

@@ -17,7 +17,7 @@ from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.shared.losses import Context, StatedImu
 from gnomon.models.camera import Camera
-from gnomon.models.noise import ImuNoise
+from gnomon.recording.samples import ImuNoise
 from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
 from gnomon.results.sensors import calibration_parameters, covariance_names
 

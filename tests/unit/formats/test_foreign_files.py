@@ -12,7 +12,7 @@ from gnomon.errors import FormatError
 from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.rotations import rotation_from_quaternion
-from gnomon.models.noise import ImuNoise
+from gnomon.recording.samples import ImuNoise
 from gnomon.writers.tables import foreign_document, foreign_tables
 
 FULL = "rendered-camimu/a-aprilgrid-full/kalibr/scale-misalignment-size-effect"

@@ -161,7 +161,8 @@ def test_several_cameras(camera_calibration, tmp_path):
 
 def results_of(calibration, target=None):
     imus = {
-        name: StatedImu(noise=gnomon.models.noise.consumer_mems(), update_rate_hz=200.0) for name in calibration.imus
+        name: StatedImu(noise=gnomon.recording.samples.consumer_mems(), update_rate_hz=200.0)
+        for name in calibration.imus
     }
     return KalibrResults(
         calibration=calibration,

@@ -7,7 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
-from gnomon.recording import samples as recorded_samples
+from gnomon.recording import dataframes
 
 pandas = pytest.importorskip("pandas")
 NAMES = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]", "gx [rad/s]", "gy [rad/s]", "gz [rad/s]")
@@ -83,10 +83,10 @@ def test_without_either_it_is_said(samples, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
-    monkeypatch.setattr(recorded_samples.importlib, "import_module", absent)
+    monkeypatch.setattr(dataframes.importlib, "import_module", absent)
     with pytest.raises(OptionError, match="needs pandas or polars"):
         samples.gyroscope.to_dataframe()
-    assert importlib is recorded_samples.importlib
+    assert importlib is dataframes.importlib
 
 
 def test_values_are_short_to_read(samples):

@@ -7,10 +7,10 @@ import pytest
 
 from gnomon.errors import OptionError, OutputError, RecordingError
 from gnomon.models.camera import Camera
-from gnomon.models.noise import ImuNoise
 from gnomon.readers.images.image_recording import open_images
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.recording.recording import Frame, ImageRecording, ImageStream
+from gnomon.recording.samples import ImuNoise
 from gnomon.writers.image_folders import save_euroc
 from image_folders import START, STEP, frames_of, picture, stamps
 

@@ -25,11 +25,10 @@ from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotations import rotvec_from_rotation
 from ...models.forms import LOWER, KrebsAccelerometer, KrebsGyroscope
-from ...models.noise import consumer_mems
 from ...models.target import Target
 from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats, Recording, TriadSamples
-from ...recording.samples import time_base
+from ...recording.samples import consumer_mems, time_base
 from ...results.calibration import Calibration, Covariance, Gravity
 from ...results.result import runs_below
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S

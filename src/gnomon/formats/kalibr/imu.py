@@ -8,8 +8,8 @@ import numpy as np
 
 from ...frozen import field_names, value_class
 from ...models.forms import KalibrAccelerometer, KalibrGyroscope
-from ...models.noise import ImuNoise
 from ...recording import Floats
+from ...recording.samples import ImuNoise
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, ForeignImu, ideal_imu, recognised_frame
 from ..openvins import OPENVINS_KEYS, openvins_imu

@@ -16,9 +16,9 @@ import numpy as np
 from ...errors import FormatError, OptionError
 from ...models.camera import Camera
 from ...models.forms import KalibrAccelerometer, KalibrGyroscope
-from ...models.noise import ImuNoise
 from ...models.target import Target
 from ...recording import Floats, frozen_array
+from ...recording.samples import ImuNoise
 from ...results.calibration import (
     AccelerometerCalibration,
     CameraCalibration,

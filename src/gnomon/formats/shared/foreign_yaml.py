@@ -19,8 +19,8 @@ from ...geometry.rotations import inverse_pose, normalise_quaternion, rotation_f
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName
-from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array
+from ...recording.samples import ImuNoise
 from ...results.calibration import CameraCalibration
 from .structured import Node, parse_yaml, read_structured_text
 

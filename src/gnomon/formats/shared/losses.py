@@ -18,7 +18,7 @@ from ...frozen import value_class
 from ...models.camera import PROJECTIONS, Camera, knows_lens
 from ...models.frames import AXES, Floats, frame_rotation
 from ...models.lens_names import PROGRAMS
-from ...models.noise import ImuNoise
+from ...recording.samples import ImuNoise
 from ...results.calibration import Calibration, CameraCalibration
 from ...results.result import prior_held_names
 from ..foreign import FOREIGN_METHOD

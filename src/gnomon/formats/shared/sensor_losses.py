@@ -11,8 +11,8 @@ import numpy as np
 from ...errors import OptionError
 from ...findings import join_names
 from ...frozen import field_names, value_class
-from ...models.noise import ImuNoise
 from ...recording import Floats
+from ...recording.samples import ImuNoise
 from ...results.calibration import Calibration, ImuCalibration
 from ...results.temperature_dependence import TemperatureDependence
 from ...units import STANDARD_GRAVITY_M_S2

@@ -14,9 +14,9 @@ from ...formats.shared.structured import Node
 from ...frozen import value_class
 from ...geometry.rotations import inverse_pose
 from ...models.camera import Camera
-from ...models.noise import ImuNoise
 from ...recording import Floats, ImuSamples, frozen_array
 from ...recording.recording import ImageRecording, ImageStream
+from ...recording.samples import ImuNoise
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf

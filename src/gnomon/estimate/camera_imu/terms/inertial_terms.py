@@ -29,8 +29,8 @@ from ....frozen import value_class
 from ....geometry.rotations import acceleration_by_place, along_axes
 from ....kernel import library
 from ....models.forms import LOWER
-from ....models.noise import ImuNoise
 from ....recording import Floats, Integers
+from ....recording.samples import ImuNoise
 from ..layout import BorderLayout, Status
 from ..parameters import ImuParameters, RigParameters
 from ..trajectory import BIAS, MARGIN_S, POSE, Bases, KnotGrid, MotionState, Places, Trajectory, basis_polynomials
