@@ -21,7 +21,7 @@ from gnomon.estimate.camera_imu.terms.visual_terms import Exposures, VisualData,
 from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotations import rotation_from_rotvec
 from gnomon.models.camera import Camera
-from gnomon.models.frames import Origin, single_point_weights
+from gnomon.models.origin import Origin, single_point_weights
 
 SHAPES = {"pinhole": [], "omni": [0.9], "eucm": [0.6, 1.1], "ds": [-0.2, 0.55]}
 COEFFS = {

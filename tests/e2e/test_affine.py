@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.models.frames import frame_rotation
+from gnomon.geometry.rotations import frame_rotation
 from gnomon.results.calibration import ImuCalibration, rotate_imu
 
 OPTIONS = gnomon.ImuOptions(gravity=9.81)

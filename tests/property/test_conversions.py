@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import gnomon
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import is_own, load_foreign
+from gnomon.geometry.rotations import frame_rotation
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -23,7 +24,6 @@ from gnomon.models.forms import (
     TedaldiAccelerometer,
     TedaldiGyroscope,
 )
-from gnomon.models.frames import frame_rotation
 from gnomon.models.project_forms import (
     BasaltTriad,
     DiagonalTriad,

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gnomon.geometry.rotations import frame_rotation
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -15,7 +16,6 @@ from gnomon.models.forms import (
     TedaldiAccelerometer,
     TedaldiGyroscope,
 )
-from gnomon.models.frames import frame_rotation
 from gnomon.models.project_forms import (
     BasaltTriad,
     ImucalAccelerometer,

@@ -20,7 +20,7 @@ from ..errors import OptionError
 from ..estimate.triads.triad_problem import TriadPrior
 from ..findings import Finding, make_finding
 from ..frozen import value_class
-from ..models.frames import frame_rotation
+from ..geometry.rotations import frame_rotation
 from ..options import stated_prior
 from ..recording import Floats, Integers, Source, shared_sources
 from ..results.calibration import Calibration, Gravity

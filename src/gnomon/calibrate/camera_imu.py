@@ -44,7 +44,7 @@ from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
 from ..estimate.trust.changes import grave_findings, postpone_search
 from ..findings import Finding
-from ..models.frames import EVEN_WEIGHTS
+from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..progress import Progress, Step

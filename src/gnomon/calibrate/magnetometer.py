@@ -28,7 +28,7 @@ from ..estimate.triads.triad_trust import TimeBlocks, block_covariance, leave_bl
 from ..estimate.trust.changes import start_of_estimates
 from ..findings import Finding, make_finding
 from ..frozen import value_class
-from ..models.frames import frame_rotation, rotation_jacobian
+from ..geometry.rotations import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
 from ..progress import Progress
 from ..recording import Floats, Recording, TemperatureSamples, TriadSamples

@@ -10,8 +10,8 @@ from rich.table import Table
 from ..findings import share_words
 from ..formats.shared.entries import baseline_of, value_text
 from ..models.camera import knows_lens
-from ..models.frames import AXES
 from ..models.lens_names import PROGRAMS
+from ..models.origin import AXES
 from ..recording import Floats
 from ..results.calibration import Calibration, CamerasFit
 from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics

@@ -13,9 +13,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotations import invert_matrix
+from ..geometry.rotations import Floats, invert_matrix
 from .forms import AccelerometerForm, in_frame, unit_diagonal
-from .frames import Floats
 
 Geometry = Literal["small-angle", "exact"]
 """Eq. (15) or Eq. (14) of Angrisano."""

@@ -8,7 +8,7 @@ unit of the sensor, is
 A form holds the same sensor in the letters of a document. `from_sensor` and `to_sensor` convert, `predict` evaluates
 the document's own equation, so that a test can show that the samples are the same. Each form belongs to a body frame
 (`frame`): a document that makes the accelerometer's matrix triangular fixes the frame by doing so. Bring the sensor
-into that frame first (`models.frames`). Sign conventions differ: Tedaldi adds the bias, Angrisano subtracts it. The
+into that frame first (`frame_rotation`). Sign conventions differ: Tedaldi adds the bias, Angrisano subtracts it. The
 form of Kalibr is as stated in its code and compared in docs/theory.
 
 How a document writes one triad, its matrix and its bias, is the same for accelerometer and gyroscope and stands once:
@@ -27,8 +27,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotations import invert_matrix
-from .frames import Floats, fixed_entries, frame_rotation
+from ..geometry.rotations import Floats, fixed_entries, frame_rotation, invert_matrix
 
 KrebsReading = Literal["chapter 3", "chapter 4"]
 """Krebs states the g-sensitivity twice: in the gyroscope's frame (chapter 3) and in the body frame (chapter 4)."""

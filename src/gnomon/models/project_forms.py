@@ -10,9 +10,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotations import invert_matrix
+from ..geometry.rotations import Floats, invert_matrix
 from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, unit_diagonal
-from .frames import Floats
 
 
 @value_class

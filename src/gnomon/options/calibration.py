@@ -363,7 +363,7 @@ class CameraImuOptions:
     def __post_init__(self) -> None:
         check_ranges(self, positive="accelerometer_range gyroscope_range")
         if self.origin != "optimal":
-            from ..models.frames import Origin  # NumPy, which --help does without
+            from ..models.origin import Origin
 
             Origin.stated(self.origin)
         for text in self.prior:

@@ -13,8 +13,8 @@ from .._version import __version__
 from ..errors import FormatError, OptionError
 from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
-from ..models.frames import Origin
 from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
+from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
 from ..recording.dataframes import make_dataframe
 from ..units import STANDARD_GRAVITY_M_S2

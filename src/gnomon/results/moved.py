@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
-from ..geometry.rotations import skew
-from ..models.frames import Origin, fixed_entries, frame_rotation, frame_turn, rotation_jacobian
+from ..geometry.rotations import fixed_entries, frame_rotation, frame_turn, rotation_jacobian, skew
+from ..models.origin import Origin
 from ..recording import Floats
 from .sensors import TRIADS, CameraCalibration, ImuCalibration, calibration_parameters, covariance_names
 from .temperature_dependence import TemperatureDependence
@@ -39,7 +39,7 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     """Return the sensors in body frame "accel-x" or "accel-z", each IMU in its own, the cameras in that of the first.
 
     With f_new = Q f_old a camera sees T_new = T_old (Q', 0). Q itself depends on the accelerometer: where its scalars
-    are off, the frame is turned by a further delta (`models.frames.frame_turn`). A camera's small rotation d, on the
+    are off, the frame is turned by a further delta (`frame_turn`). A camera's small rotation d, on the
     right, is therefore d_new = Q d_old + delta. An IMU beside the first has T_new = (Q_i, 0) T_old (Q', 0) with a Q_i
     and a delta_i of its own: d_new = Q d_old + delta - R_new' delta_i, and its translation t moves by
     dt_new = Q_i dt_old + t_new x delta_i.

@@ -28,7 +28,7 @@ from ..errors import FormatError, OptionError
 from ..frozen import FrozenMapping, value_class
 from ..geometry.rotations import rotvec_from_rotation
 from ..models.camera import Camera
-from ..models.frames import Origin
+from ..models.origin import Origin
 from ..recording import Floats, ImuSamples, Integers, TemperatureSamples, TriadSamples, frozen_array
 from ..recording.thermometer import TemperatureCourse, temperature_course
 from .temperature_dependence import TemperatureDependence

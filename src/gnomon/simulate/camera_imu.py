@@ -7,7 +7,7 @@ import numpy as np
 
 from ..frozen import FrozenMapping, value_class
 from ..geometry.rotations import rotvec_from_rotation
-from ..models.frames import Origin, single_point_weights
+from ..models.origin import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
 from ..results.calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..frozen import value_class
-from ..geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
-from ..models.frames import frame_rotation
+from ..geometry.rotations import frame_rotation, rotation_from_rotvec, rotvec_from_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration

@@ -16,8 +16,8 @@ from ..estimate.triads.angrisano import (
 )
 from ..estimate.triads.triad import TriadFit, TriadPoses, fit_triad
 from ..frozen import value_class
+from ..geometry.rotations import fixed_entries, frame_rotation, rotation_jacobian
 from ..models.angrisano import AngrisanoTriad
-from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
 from ..results.result import Booleans
 from ..simulate.imu import TABLE_1, PoseSimulation, simulate_poses

@@ -15,8 +15,8 @@ from ..formats.foreign import ForeignCalibration, ForeignImu, stated_calibration
 from ..formats.shared import entries
 from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries, value_text
 from ..frozen import value_class
+from ..geometry.rotations import Floats, frame_rotation
 from ..models.camera import Camera
-from ..models.frames import Floats, frame_rotation
 from ..results.calibration import (
     TRUTH_METHOD,
     Calibration,

@@ -10,7 +10,7 @@ from gnomon import simulate as simulated
 from gnomon.assess.priors import NAMES, TRIADS, gather_prior, prior_findings
 from gnomon.calibrate.steps.camera_imu_preparation import evidence_of_imu, known_imu
 from gnomon.errors import OptionError
-from gnomon.models.frames import frame_rotation
+from gnomon.geometry.rotations import frame_rotation
 from gnomon.results.calibration import Calibration, Covariance
 from gnomon.results.moved import rotate_imu
 from gnomon.results.sensors import ImuCalibration

@@ -12,7 +12,7 @@ from gnomon.errors import FormatError, OptionError
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotations import acceleration_by_place, rotation_from_rotvec, rotvec_from_rotation
-from gnomon.models.frames import Origin, single_point_weights
+from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.report.drawing.rig import origin_figure
 from gnomon.results.calibration import Covariance

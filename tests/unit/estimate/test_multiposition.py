@@ -20,8 +20,7 @@ from gnomon.estimate.multiposition.model import (
     normal_equations,
 )
 from gnomon.estimate.multiposition.problem import Scaling, to_physical_units
-from gnomon.geometry.rotations import tangent_basis
-from gnomon.models.frames import frame_rotation, rotation_jacobian
+from gnomon.geometry.rotations import frame_rotation, rotation_jacobian, tangent_basis
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.results.calibration import ImuCalibration, calibration_parameters, rotate_imu
 from gnomon.solve.least_squares import solve_arrow

@@ -27,7 +27,7 @@ from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotations import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import in_frame
-from gnomon.models.frames import Origin, single_point_weights
+from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.results.calibration import Calibration, Covariance

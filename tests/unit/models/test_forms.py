@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.geometry.rotations import frame_rotation
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     KalibrAccelerometer,
@@ -13,7 +14,6 @@ from gnomon.models.forms import (
     TedaldiAccelerometer,
     TedaldiGyroscope,
 )
-from gnomon.models.frames import frame_rotation
 from gnomon.models.project_forms import ImucalAccelerometer, ImuTkTriad
 
 RNG = np.random.default_rng(5)

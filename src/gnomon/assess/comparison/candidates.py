@@ -18,7 +18,7 @@ from ...findings import Finding, join_names, make_finding
 from ...formats.foreign import FOREIGN_METHOD, ForeignCalibration
 from ...frozen import FrozenMapping, value_class
 from ...models.camera import Camera
-from ...models.frames import Origin
+from ...models.origin import Origin
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import TRUTH_METHOD, Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
 from ...results.moved import moved_into_frame, moved_to_origin

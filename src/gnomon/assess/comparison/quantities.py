@@ -7,9 +7,8 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.rotations import invert_matrix, skew
+from ...geometry.rotations import frame_turn, invert_matrix, rotation_jacobian, skew
 from ...models.forms import in_own_axes
-from ...models.frames import frame_turn, rotation_jacobian
 from ...options.requirements import BETWEEN_RECORDINGS
 from ...recording import Floats, frozen_array
 from ...results.calibration import CameraCalibration, ImuCalibration

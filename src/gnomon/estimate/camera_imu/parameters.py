@@ -11,7 +11,7 @@ from ...frozen import value_class
 from ...geometry.rotations import tangent_basis
 from ...models.camera import Camera
 from ...models.forms import DIAGONAL, LOWER
-from ...models.frames import Origin
+from ...models.origin import Origin
 from ...models.target import Target
 from ...recording import Floats, KnownRig
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ...errors import InitialisationError, SolveError
 from ...frozen import value_class
-from ...geometry.rotations import invert_matrix
-from ...models.frames import frame_rotation
+from ...geometry.rotations import frame_rotation, invert_matrix
 from ...recording import Floats
 from ...recording.samples import median_of
 from ...results.result import Booleans

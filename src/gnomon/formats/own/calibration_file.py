@@ -12,8 +12,8 @@ from ...errors import OptionError
 from ...findings import Finding
 from ...models.camera import Camera
 from ...models.forms import in_frame
-from ...models.frames import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...models.lens_names import DistortionName, ProjectionName
+from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...recording import Floats
 from ...results.calibration import (
     UNSTATED_GRAVITY,
@@ -224,7 +224,7 @@ _FRAMES = {
     "gyro-x": ("gyroscope", "accel-x"),
     "mag-x": ("magnetometer", "accel-x"),
 }
-"""Body frame -> the triad that defines it, and the frame of `models.frames` whose zeros its sensitivity has."""
+"""Body frame -> the triad that defines it, and the frame of `geometry.rotations` whose zeros its sensitivity has."""
 
 
 def load(path: str | PathLike[str]) -> Calibration:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import OutputError
 from ...findings import Finding
-from ...models.frames import AXES, Origin
+from ...models.origin import AXES, Origin
 from ...output import write_whole
 from ...recording import Source
 from ...results.calibration import (

@@ -15,9 +15,10 @@ import numpy as np
 from ...errors import OptionError
 from ...findings import join_names
 from ...frozen import value_class
+from ...geometry.rotations import Floats, frame_rotation
 from ...models.camera import PROJECTIONS, Camera, knows_lens
-from ...models.frames import AXES, Floats, frame_rotation
 from ...models.lens_names import PROGRAMS
+from ...models.origin import AXES
 from ...recording.samples import ImuNoise
 from ...results.calibration import Calibration, CameraCalibration
 from ...results.result import prior_held_names

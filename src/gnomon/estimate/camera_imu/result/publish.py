@@ -2,7 +2,7 @@
 
 First, the points of the IMUs to which their poses refer: those where a model with one place for each IMU finds itself.
 With other lever arms a, held in the model, the rest of the estimate would go K da, K = -C_nn^-1 C_na of the normal
-equations, whatever is known of the arms beforehand (`models.frames.Origin`). The point whose translation does not move
+equations, whatever is known of the arms beforehand (`models.origin.Origin`). The point whose translation does not move
 with them is p*. It is known when everything is estimated: until then the origin is that which the options ask for, or
 the mean of `EVEN_WEIGHTS`.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from ....frozen import value_class
 from ....geometry.rotations import skew
 from ....models.forms import DIAGONAL, FULL, LOWER
-from ....models.frames import EVEN_WEIGHTS, Origin
+from ....models.origin import EVEN_WEIGHTS, Origin
 from ....recording import Floats, Integers
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ....results.sensors import covariance_names

@@ -33,7 +33,7 @@ from ....geometry.rotations import (
     skew,
     unwrap_rotvecs,
 )
-from ....models.frames import Origin
+from ....models.origin import Origin
 from ....models.target import Target
 from ....options import CameraImuOptions
 from ....recording import CameraFrames, Floats
