@@ -24,7 +24,7 @@ from gnomon.readers.images.image_pixels import (
     sixteen_bits,
 )
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.rig.corner_frames import read_corner_stamps
+from gnomon.readers.rig.folder import read_corner_stamps
 from image_folders import picture, stamps, write_samples, write_video
 
 from .promise import Target

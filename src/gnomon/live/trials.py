@@ -23,7 +23,7 @@ from ..units import Units
 from .faults import Fault
 
 _NICE = 10
-_AT_WORK = ("..assess.checks.rig_doctor", "..assess.needs", "..calibrate.camera_imu", "..readers.rig.streams")
+_AT_WORK = ("..assess.checks.rig_doctor", "..assess.needs", "..calibrate.camera_imu", "..readers.rig.folder")
 """What takes its time to import, and is wanted when the first question comes."""
 _PASSED_OVER = frozenset({"stream-short", "frames-few", "motion-slow", "frame-gaps", "frame-rate", "frame-jitter"})
 """Findings of `gnomon check` that a longer recording mends, as a warning that clocks drift; or of images that were not
@@ -160,7 +160,7 @@ def check_setup(recording: Recording, target: Target) -> tuple[Fault, ...]:
 def _samples_in(folder: Path, units: Units | None) -> dict[str, ImuSamples]:
     """Return the samples so far, as the ordinary command reads them."""
     from ..formats.sensor_inputs import read_imus
-    from ..readers.rig.streams import imu_files, read_imu
+    from ..readers.rig.folder import imu_files, read_imu
 
     stated = folder / "imu.yaml"
     known = read_imus(stated)["imu0"] if stated.is_file() else None

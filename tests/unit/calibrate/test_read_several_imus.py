@@ -18,7 +18,7 @@ from gnomon.formats.sensor_inputs import read_imus
 from gnomon.formats.shared.yaml_text import kalibr_yaml
 from gnomon.options import CameraImuOptions
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.rig.corner_frames import read_corner_stamps
+from gnomon.readers.rig.folder import read_corner_stamps
 from gnomon.writers.recording_file import save_recording
 from gnomon.writers.simulated_cameras import save_camera_imu_recording
 

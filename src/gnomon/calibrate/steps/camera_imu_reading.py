@@ -23,8 +23,7 @@ from ...options import FrameSelection
 from ...readers.files import file_source
 from ...readers.images.frame_stamps import select_frames, select_images
 from ...readers.images.image_recording import open_images
-from ...readers.rig.corner_frames import read_corner_recording
-from ...readers.rig.streams import holds_corners, recording_folder, with_stated
+from ...readers.rig.folder import holds_corners, read_corner_recording, recording_folder, with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ...recording.recording import ImageRecording, ImageStream
 from ...units import Units

@@ -33,8 +33,7 @@ from ...readers.files import ZIP_DAMAGE, file_source
 from ...readers.images.image_files import camera_places, image_names, read_grey
 from ...readers.images.image_recording import open_images
 from ...readers.recordings import ReadLog, stated_units
-from ...readers.rig.corner_frames import folder_corners
-from ...readers.rig.streams import corner_streams, holds_corners, recording_folder
+from ...readers.rig.folder import corner_streams, folder_corners, holds_corners, recording_folder
 from ...readers.samples.npz import refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Recording, Source
 from ...recording.recording import ImageRecording, ImageStream

@@ -52,7 +52,7 @@ class Check(Command):
     def run(self, terminal: Terminal) -> int:
         """Look at a recording, say what was found, and return the exit code."""
         from ...readers.images.image_recording import holds_images
-        from ...readers.rig.streams import holds_corners
+        from ...readers.rig.folder import holds_corners
 
         path = self.recording.path
         folder = path / "mav0" if (path / "mav0").is_dir() else path
@@ -118,7 +118,7 @@ def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
 def _check_corners(command: Check, terminal: Terminal) -> int:
     from ...calibrate.steps.camera_imu_reading import read_camera_imu
     from ...calibrate.steps.camera_reading import read_camera_views
-    from ...readers.rig.streams import folder_holds_imu, recording_folder
+    from ...readers.rig.folder import folder_holds_imu, recording_folder
 
     files, taken = _files(command)
     if files["cam"] is None or files["target"] is None:
@@ -160,7 +160,7 @@ def _words(name: str, value: Any) -> list[str | Path]:
 
 def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[str, ...], terminal: Terminal) -> int:
     from ...assess.checks.rig_doctor import check_imus, check_stamps_together
-    from ...readers.rig.corner_frames import read_corner_stamps
+    from ...readers.rig.folder import read_corner_stamps
 
     found = read_corner_stamps(command.recording.path, command.recording.units)
     findings = [*check_imus(found.imus), *check_stamps_together(found.frames, found.imus, {})]

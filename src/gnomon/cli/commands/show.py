@@ -203,7 +203,7 @@ def _chosen_imu(command: Apply, imus: tuple[str, ...]) -> str:
 
 def _tables(paths: Sequence[Path], imu: str) -> Sequence[Path]:
     """Return the tables of one IMU of a folder of several; of anything else the paths themselves."""
-    from ...readers.rig.streams import folder_holds_imu, imu_files, recording_folder
+    from ...readers.rig.folder import folder_holds_imu, imu_files, recording_folder
 
     if len(paths) != 1 or not paths[0].is_dir() or not folder_holds_imu(recording_folder(paths[0])):
         return paths

@@ -21,7 +21,7 @@ from ...recording.recording import Frame, Grey, ImageRecording, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..files import file_source
 from ..images.image_pixels import compressed_image, grey_image
-from ..rig.streams import in_order
+from ..rig.folder import in_order
 from ..samples.recognise import IN_MOTION
 from .messages import COMPRESSED_IMAGE, IMAGE, TEMPERATURE, Wire, compressed_message, image_message, stamp_ns
 from .storage import Bag, BrokenBagError, Topic, bag_parts, looks_like_bag, open_indexed, open_sequential

@@ -22,9 +22,9 @@ from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
 from ..recordings import ReadLog, stated_units
-from ..rig.streams import EXPECTED as EXPECTED_IMU
-from ..rig.streams import folder_holds_imu as corners_with_imu
-from ..rig.streams import holds_corners, imu_tables, imu_tables_beside, read_imu
+from ..rig.folder import EXPECTED as EXPECTED_IMU
+from ..rig.folder import folder_holds_imu as corners_with_imu
+from ..rig.folder import holds_corners, imu_tables, imu_tables_beside, read_imu
 from .frame_stamps import numbers_in_names
 from .image_files import (
     EXPECTED,

@@ -1,21 +1,26 @@
-"""Tables of detected corners, one row a corner: what the columns are, and the rows as they stand.
+"""Tables of detected corners, one row a corner: what the columns are, the rows, and the frames of the camera.
 
 Two layouts: time, tag, corner of the tag (0 to 3), u, v; or time, number of the corner on the target, u, v.
 """
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...formats.kalibr.camchain import CameraInput
 from ...frozen import value_class
-from ...recording import Floats, Integers, Source
+from ...models.target import Target
+from ...recording import CameraFrames, Floats, Integers, Source
 from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
 from ..samples.table import guess_time_unit, parse_stamped, stray_timestamp, to_ns
 from ..samples.text_table import Column, TextLayout, is_number, line_number, sniff_layout
+
+Booleans = NDArray[np.bool_]
 
 _HEADERS = '"ts_ns,tag_id,corner_idx,u_px,v_px" or "ts_ns,corner_id,u_px,v_px"'
 _ROWS = "time, number of the tag, number of its corner, u, v (or time, number of the corner, u, v)"
@@ -254,3 +259,172 @@ def _whole(values: Column, file: TextFile, layout: TextLayout) -> Integers:
             "number. Fix or remove this line."
         )
     return numbers
+
+
+_BORDER_PX = 1.0  # a corner is found from pixels around it, and may come to lie a little outside the image
+_NORMALISED = 2.0  # no image is so small
+_SAME_PX = 1.0
+
+_DETECTOR_SCALE_SIGMA = 3e-4
+"""Of detectors that are not known: with corners of Kalibr's the focal length comes out 0.035 % short (rendered images,
+whose lens is known)."""
+
+
+def camera_frames(
+    table: CornerTable, all_stamps: Integers | None, known: CameraInput, target: Target, notes: list[str]
+) -> CameraFrames:
+    """Return what a camera saw of the target.
+
+    Corners that are not finite numbers, lie outside the image or stand twice in a frame are left out with a note.
+
+    Parameters
+    ----------
+    table : its corners
+    all_stamps : (n,) int64 timestamps of all its frames [ns], or None where only frames with corners are known
+    known : lens, intrinsics and guesses
+    target : the board
+    notes : where sentences on what was left out are appended
+
+    Raises
+    ------
+    RecordingError
+        If corners are not on the target, or most of them cannot be used.
+    """
+    keep: NDArray[np.intp] = _finite(table, notes)
+    point = _points(table, keep, target)
+    pixels = table.pixels[keep]
+    inside = _inside(table, pixels, known.camera.resolution, notes)
+    keep, point, pixels = keep[inside], point[inside], pixels[inside]
+    t_ns = table.t_ns[keep]
+    stamps = _frame_stamps(table, t_ns, all_stamps, notes)
+    frame = np.searchsorted(stamps, t_ns)
+    order = _each_once(table, frame * len(target.points) + point, pixels, notes)
+    if order is not None:
+        frame, point, pixels = frame[order], point[order], pixels[order]
+    return CameraFrames(
+        t_ns=stamps,
+        frame=frame,
+        point=point,
+        pixels=pixels,
+        camera=known.camera,
+        T_cam_imu=known.T_cam_imu,
+        time_shift_cam_imu_s=known.time_shift_cam_imu_s,
+        lens_covariance=known.lens_covariance,
+        detector_scale_sigma=_DETECTOR_SCALE_SIGMA,
+    )
+
+
+def _finite(table: CornerTable, notes: list[str]) -> NDArray[np.intp]:
+    """Return the rows whose coordinates are numbers."""
+    finite = np.isfinite(table.pixels[:, 0]) & np.isfinite(table.pixels[:, 1])
+    lost = len(finite) - int(np.count_nonzero(finite))
+    if lost > 0.5 * len(finite):
+        raise RecordingError(
+            f"{table.where(int(np.argmin(finite)))}: NaN or infinity instead of pixels, as in {lost} of "
+            f"{len(finite)} rows. Write one row for each corner that was detected, and none for the others."
+        )
+    if lost:
+        notes.append(_left_out(table, lost, "NaN or infinity instead of pixels"))
+    return np.flatnonzero(finite)
+
+
+def _left_out(table: CornerTable, count: int, why: str) -> str:
+    return f"{table.file.name}: left out {count} of {len(table.corner)} corners ({why})."
+
+
+def _points(table: CornerTable, keep: NDArray[np.intp], target: Target) -> Integers:
+    """Return the number on the target of each corner."""
+    corner = table.corner[keep]
+    if table.tag is None:
+        last = len(target.points) - 1
+        _refuse_unknown(table, keep, (corner < 0) | (corner > last), lambda i: f"corner {table.corner[i]}", target)
+        return corner
+    if target.kind != "aprilgrid":
+        raise RecordingError(
+            f"{table.file.name}: these are the corners of tags, but the target is a {target.kind}. "
+            "Give the target.yaml of the AprilGrid that was seen."
+        )
+    tag = table.tag[keep]
+    tags = len(target.points) // 4
+    wrong = (tag < 0) | (tag >= tags) | (corner < 0) | (corner > 3)
+    numbers = table.tag
+    _refuse_unknown(table, keep, wrong, lambda i: f"corner {table.corner[i]} of tag {numbers[i]}", target)
+    return target.point_of_tag_corner(tag, corner)
+
+
+def _refuse_unknown(
+    table: CornerTable, keep: NDArray[np.intp], wrong: Booleans, name: Callable[[int], str], target: Target
+) -> None:
+    if not wrong.any():
+        return
+    rows = keep[wrong]
+    found = list(dict.fromkeys(name(int(i)) for i in rows[:1000]))
+    listed = ", ".join(found[:4]) + (", ..." if len(found) > 4 else "")
+    points = len(target.points)
+    holds = f"corners 0 to {points - 1}"
+    if table.tag is not None:
+        holds = f"tags 0 to {points // 4 - 1} with corners 0 to 3"
+    raise RecordingError(
+        f"{table.where(int(rows[0]))}: {found[0]} is not on the target ({target.describe()}), which holds {holds}. "
+        f"{len(rows)} of {len(table.corner)} rows name such corners: {listed}. Is this the target.yaml of the board "
+        "that was seen?"
+    )
+
+
+def _inside(table: CornerTable, pixels: Floats, resolution: tuple[int, int], notes: list[str]) -> Booleans:
+    """Return which corners are inside the image, or on its border."""
+    if len(pixels) and float(np.abs(pixels).max()) < _NORMALISED:
+        raise RecordingError(
+            f"{table.file.name}: all coordinates lie between {pixels.min():.3g} and {pixels.max():.3g}. Expected "
+            "pixels; these seem to be normalised. Write them as they were detected in the image."
+        )
+    width, height = resolution
+    low, high = -0.5 - _BORDER_PX, np.array([width, height]) - 0.5 + _BORDER_PX
+    inside = (pixels[:, 0] > low) & (pixels[:, 0] < high[0]) & (pixels[:, 1] > low) & (pixels[:, 1] < high[1])
+    outside = len(inside) - int(np.count_nonzero(inside))
+    if outside > 0.5 * len(inside):
+        raise RecordingError(
+            f"{table.file.name}: {outside} of {len(inside)} corners lie outside the image of {width} x {height} px; "
+            f"u runs from {pixels[:, 0].min():.0f} to {pixels[:, 0].max():.0f}, v from {pixels[:, 1].min():.0f} to "
+            f"{pixels[:, 1].max():.0f}. Resolution and intrinsics seem to be those of another camera or image size."
+        )
+    if outside:
+        notes.append(_left_out(table, outside, f"outside the image of {width} x {height} px"))
+    return inside
+
+
+def _frame_stamps(table: CornerTable, t_ns: Integers, all_stamps: Integers | None, notes: list[str]) -> Integers:
+    """Return the timestamps of all frames in order."""
+    if (table.t_ns[1:] < table.t_ns[:-1]).any():
+        notes.append(f"{table.file.name}: the rows are not in the order of time; they were sorted.")
+    with_corners = np.unique(t_ns)
+    if all_stamps is None:
+        return np.unique(table.t_ns)
+    stamps = np.union1d(all_stamps, with_corners)
+    unlisted = len(stamps) - len(np.unique(all_stamps))
+    if unlisted:
+        notes.append(
+            f"{table.file.name}: {unlisted} of {len(with_corners)} frames are missing in the list of all frames; "
+            "they were added."
+        )
+    return stamps
+
+
+def _each_once(table: CornerTable, key: Integers, pixels: Floats, notes: list[str]) -> NDArray[np.intp] | None:
+    """Return the order of time, each corner of a frame once, the first that stands in the file; None if it is so."""
+    if (key[1:] > key[:-1]).all():
+        return None
+    order = np.argsort(key, kind="stable")
+    same = np.concatenate([[False], key[order[1:]] == key[order[:-1]]])
+    count = int(np.count_nonzero(same))
+    if not count:
+        return order
+    apart = np.linalg.norm(pixels[order[1:]] - pixels[order[:-1]], axis=1)[same[1:]]
+    if count > 0.5 * len(key) and float(np.median(apart)) > _SAME_PX:
+        raise RecordingError(
+            f"{table.file.name}: most corners stand several times at one timestamp, at different places "
+            f"({count} of {len(key)} rows). The timestamps are too coarse to tell the frames apart; write them in "
+            "nanoseconds."
+        )
+    notes.append(_left_out(table, count, "the same corner is in the frame already"))
+    return order[~same]

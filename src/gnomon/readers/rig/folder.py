@@ -1,26 +1,34 @@
-"""Which files of a folder of cameras and IMUs are which stream, and the samples of its IMUs for use beside cameras.
+"""A folder of cameras and IMUs: which files are which stream, the samples, and what was recorded before a board.
 
 Streams are told by the names of their files, tables of samples by their content, too. Samples are given in SI units and
-in the order of time.
+in the order of time. Where corners were detected already, the folder is read as a recording: with Kalibr's files that
+describe cameras, IMUs and board, or of its timestamps alone.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...formats.kalibr.camchain import CameraInput
 from ...formats.kalibr.imu import ImuInput
+from ...formats.kalibr.target import read_target
+from ...formats.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus
 from ...frozen import value_class
-from ...recording import ImuSamples, Source, TriadSamples
+from ...models.target import Target
+from ...recording import CameraFrames, ImuSamples, Integers, Recording, Source, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
-from ..files import NPZ_MAGIC, first_bytes, read_text_file
-from ..recordings import read_recognising
+from ..files import NPZ_MAGIC, file_source, first_bytes, read_text_file
+from ..recordings import ReadLog, read_recognising, stated_units
 from ..samples.column_names import column_roles
 from ..samples.recognise import HELP, IN_MOTION, TRIAL
 from ..samples.table import RATE_HELP, stray_timestamp
 from ..samples.text_table import sniff_layout
+from .corner_table import camera_frames, read_corner_table, read_frame_stamps
 
 _TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
 _CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
@@ -344,3 +352,164 @@ def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples
     if note not in notes:  # both triads mostly share their timestamps
         notes.append(note)
     return replace(samples, t_ns=samples.t_ns[order], values=samples.values[order])
+
+
+@value_class
+class CornerStamps:
+    """Samples, and when frames were taken.
+
+    Attributes
+    ----------
+    imus : "imu0", ... -> samples
+    frames : "cam0", ... -> (n,) timestamps of its frames, ascending [ns]
+    corners : "cam0", ... -> number of rows with corners
+    assumptions : sentences on what was assumed
+    """
+
+    imus: Mapping[str, ImuSamples]
+    frames: Mapping[str, Integers]
+    corners: Mapping[str, int]
+    assumptions: tuple[str, ...]
+
+
+def read_corner_stamps(path: str | PathLike[str], units: str | Units | None = None) -> CornerStamps:
+    """Read samples and timestamps of a folder with corners.
+
+    Raises
+    ------
+    RecordingError
+        If a table cannot be read.
+    OptionError
+        If `units` names no unit.
+    """
+    stated = stated_units(units)
+    folder = recording_folder(Path(path))
+    notes: list[str] = []
+    sources: list[Source] = []
+    frames: dict[str, Integers] = {}
+    corners: dict[str, int] = {}
+    for name, stream in corner_streams(folder).items():
+        table = read_corner_table(stream.corners, stated.time)
+        notes.extend(table.notes)
+        all_stamps = table.t_ns
+        if stream.frames is not None:
+            listed, _, note = read_frame_stamps(stream.frames, stated.time)
+            all_stamps = np.concatenate([listed, table.t_ns])
+            notes.extend(text for text in (note,) if text)
+        frames[name], corners[name] = np.unique(all_stamps), len(table.t_ns)
+    try:
+        files = imu_files(folder)
+    except RecordingError:
+        files = {}
+    imus = {
+        name: read_imu(name, tables, None, units=stated, sources=sources, notes=notes) for name, tables in files.items()
+    }
+    return CornerStamps(imus=imus, frames=frames, corners=corners, assumptions=tuple(notes))
+
+
+def read_corner_recording(
+    path: str | PathLike[str],
+    *,
+    cam: str | PathLike[str],
+    imu: ImuFiles | None,
+    target: str | PathLike[str],
+    units: str | Units | None = None,
+) -> tuple[Recording, Target]:
+    """Read a recording of cameras and IMUs in front of a calibration board.
+
+    Parameters
+    ----------
+    path : folder with the corners of each camera, cam0_corners.csv, cam1_corners.csv, ..., and the samples of each
+        IMU, imu0.csv, ...; all may be gzipped
+    cam : Kalibr's camchain.yaml, or another file that `formats.sensor_inputs.read_cameras` reads
+    imu : Kalibr's imu.yaml, or what else `formats.sensor_inputs.read_imus` reads; None where the noise of the IMUs
+        is not known
+    target : Kalibr's target.yaml
+    units : of the IMU's samples, as for `gnomon.read`
+
+    Returns
+    -------
+    recording : samples in m/s^2 and rad/s, frames with their corners
+    target : the board
+
+    Raises
+    ------
+    FormatError
+        If one of Kalibr's files cannot be read, or is not as it should be.
+    RecordingError
+        If the recording cannot be read, or does not fit Kalibr's files; the message says where, and what to do.
+    OptionError
+        If `units` names no unit.
+    """
+    log = ReadLog(units=stated_units(units))
+    board = read_target(target, log.notes)
+    known = read_cameras(cam, log.notes)
+    noise, stated = read_imus(imu, log.notes), imu_paths(imu)
+    log.sources.extend(file_source(Path(file)) for file in (cam, *stated, target))
+    folder = recording_folder(Path(path))
+    imus = {
+        name: read_imu(name, tables, noise.get(name), units=log.units, sources=log.sources, notes=log.notes)
+        for name, tables in imu_files(folder).items()
+    }
+    log.notes.extend(
+        f"{name} of {', '.join(file.name for file in stated)} has no samples here."
+        for name in noise
+        if name not in imus
+    )
+    cameras = folder_corners(folder, known, Path(cam).name, board, log)
+    recording = Recording(imus=imus, cameras=cameras, sources=tuple(log.sources), assumptions=tuple(log.notes))
+    return recording, board
+
+
+def folder_corners(
+    folder: Path, known: Mapping[str, CameraInput], cam: str, target: Target, log: ReadLog
+) -> dict[str, CameraFrames]:
+    """Return the cameras of a folder of tables of corners.
+
+    Parameters
+    ----------
+    folder : as `recording_folder` returns it
+    known : lens and image size of each camera
+    cam : what says so, for messages
+    target : the board
+    log : units that were stated; the files that are read, and sentences on what was assumed, are added
+
+    Raises
+    ------
+    RecordingError
+        If the tables cannot be read, or do not fit the target or the cameras.
+    """
+    streams = corner_streams(folder)
+    names = _in_both(streams, known, folder, cam, log)
+    return {name: _frames(streams[name], known[name], target, log) for name in names}
+
+
+def _in_both(
+    streams: Mapping[str, CornerStream], known: Mapping[str, CameraInput], folder: Path, cam: str, log: ReadLog
+) -> list[str]:
+    """Return the cameras that have corners and intrinsics."""
+    both = [name for name in known if name in streams]
+    if not both:
+        raise RecordingError(
+            f"{folder}: there are corners of {', '.join(streams)}, but {cam} describes {', '.join(known)}. "
+            "Rename one of them."
+        )
+    for name in known:
+        if name not in streams:
+            log.notes.append(f"{name} of {cam} has no corners here and was left out.")
+    for name, stream in streams.items():
+        if name not in known:
+            log.notes.append(f"{stream.corners.name} was left out: {cam} does not describe {name}.")
+    return both
+
+
+def _frames(stream: CornerStream, known: CameraInput, target: Target, log: ReadLog) -> CameraFrames:
+    table = read_corner_table(stream.corners, log.units.time)
+    log.sources.append(table.file.source)
+    log.notes.extend(table.notes)
+    all_stamps = None
+    if stream.frames is not None:
+        all_stamps, source, note = read_frame_stamps(stream.frames, log.units.time)
+        log.sources.append(source)
+        log.notes.extend(text for text in (note,) if text)
+    return camera_frames(table, all_stamps, known, target, log.notes)
