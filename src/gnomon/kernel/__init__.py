@@ -1,6 +1,7 @@
-"""The innermost loops, compiled where a C compiler was there at installation (see `kernel.c`), and the one BLAS thread.
+"""The innermost loops, compiled where a C compiler was there at installation (see `kernel.c`): found, and given arrays.
 
 Everything works without it, more slowly. GNOMON_KERNEL=0 in the environment switches it off.
+Besides: the one thread of BLAS.
 """
 
 import ctypes
@@ -9,8 +10,13 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-_INTERFACE = 11  # of kernel.c, which `library` is written for
+if TYPE_CHECKING:
+    from numpy import generic
+    from numpy.typing import NDArray
+
+_INTERFACE = 11  # of kernel.c, which those who call it are written for
 
 
 _LOOPS = (
@@ -60,6 +66,37 @@ def describe_kernel() -> str:
     """Return in words whether the compiled loops are used."""
     return "compiled kernel" if load_kernel() is not None else "NumPy only, no compiled kernel"
 
+
+# ---- what a loop is given ----
+
+
+class _Pointer(ctypes.c_void_p):
+    """Where an array begins, which lives as long as this."""
+
+    def __init__(self, array: "NDArray[generic]") -> None:
+        super().__init__(array.__array_interface__["data"][0])
+        self.array = array
+
+
+def array_in(array: "NDArray[generic] | None") -> ctypes.c_void_p:
+    """Return where what is only read begins: an array, or a contiguous copy that lives as long as this."""
+    from numpy import ascontiguousarray  # not before there are arrays: `gnomon --version` does without
+
+    return ctypes.c_void_p() if array is None else array_out(ascontiguousarray(array))
+
+
+def array_out(array: "NDArray[generic] | None") -> ctypes.c_void_p:
+    """Return where an array begins that is written to; `data_as` of NumPy's takes ten times as long."""
+    assert array is None or array.flags.c_contiguous
+    return ctypes.c_void_p() if array is None else _Pointer(array)
+
+
+def c_long(value: int) -> ctypes.c_int64:
+    """Return an integer as the kernel takes it."""
+    return ctypes.c_int64(value)
+
+
+# ---- BLAS ----
 
 _OF_BLAS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -1,13 +1,15 @@
-"""The compiled loops, called through ctypes: only where `load_kernel` found them."""
+"""The compiled loops of images and of cameras with an IMU, called through ctypes: only where `load_kernel` found them.
+
+Those of samples stand with the one module that calls each.
+"""
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import load_kernel
+from . import array_in, array_out, c_long, load_kernel
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -16,43 +18,16 @@ Singles = NDArray[np.float32]
 
 MOST_PIXELS = 512
 """Of the window of a corner (PIXELS in kernel.c)."""
-ALLAN_SHORT = 12
-"""Of averaging times that are summed up as the samples come (SHORT in kernel.c)."""
 MOST_COLUMNS = 64
 """Of a corner (WIDTH in kernel.c)."""
 MOST_INERTIAL = 168
 """Of a reading (INERTIAL in kernel.c)."""
-
-_NEAR = 16_384  # numbers that the processor keeps near
 
 BLOCKS = (
     *("S_g", "M_g", "q_bg", "B_g", "S_a", "M_a", "lever_arms", "T_imu_body.rotation", "T_imu_body.translation"),
     *("time_shift", "accelerometer_shift", "gravity.direction", "gravity.magnitude", "side"),
 )
 """The fields of Blocks in kernel.c, in their order."""
-
-
-class _Pointer(ctypes.c_void_p):
-    """Where an array begins, which lives as long as this."""
-
-    def __init__(self, array: NDArray[np.generic]) -> None:
-        super().__init__(array.__array_interface__["data"][0])
-        self.array = array
-
-
-def _at(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
-    """Return where what is only read begins: an array, or a contiguous copy that lives as long as this."""
-    return ctypes.c_void_p() if array is None else _out(np.ascontiguousarray(array))
-
-
-def _out(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
-    """Return where an array begins that is written to; `data_as` of NumPy's takes ten times as long."""
-    assert array is None or array.flags.c_contiguous
-    return ctypes.c_void_p() if array is None else _Pointer(array)
-
-
-def _long(value: int) -> ctypes.c_int64:
-    return ctypes.c_int64(value)
 
 
 class Readings(ctypes.Structure):
@@ -96,8 +71,8 @@ class Readings(ctypes.Structure):
         signs : (n, 6 or 3) of the probes
         """
         (read_g, weight_g), (read_a, weight_a) = gyroscope or (None, None), accelerometer or (None, None)
-        before = map(_at, (*places, references, bases, controls))
-        behind = map(_at, (imu, np.array(blocks, dtype=np.int64), read_g, weight_g, read_a, weight_a, signs))
+        before = map(array_in, (*places, references, bases, controls))
+        behind = map(array_in, (imu, np.array(blocks, dtype=np.int64), read_g, weight_g, read_a, weight_a, signs))
         self._kept = [*before], [*behind]
         super().__init__(
             *(bases.shape[1], *self._kept[0], controls.shape[1], bias_at, bias_offset, spacing_s, *self._kept[1])
@@ -133,7 +108,7 @@ class Band(ctypes.Structure):
         band : pose by pose, pose by bias, bias by pose, bias by bias, (n, 6, k, 6) each; None without biases
         tail : (n, d, t), bias_at : first scalar of the biases, columns : (w - b,) in the tail
         """
-        self._kept = [*map(_out, (*band, tail)), _at(columns)]
+        self._kept = [*map(array_out, (*band, tail)), array_in(columns)]
         super().__init__(order, bias_offset, tail.shape[1], tail.shape[2], bias_at, *self._kept)
         self.rest = len(columns)
 
@@ -143,7 +118,9 @@ def inertial_rows(readings: Readings, width: int) -> tuple[Floats, Floats]:
     library = load_kernel()
     assert library is not None
     rows, chi2 = np.empty((readings.count, readings.height, width)), np.zeros(2)
-    library.gnomon_inertial_rows(_long(readings.count), ctypes.byref(readings), _long(width), _out(rows), _out(chi2))
+    library.gnomon_inertial_rows(
+        c_long(readings.count), ctypes.byref(readings), c_long(width), array_out(rows), array_out(chi2)
+    )
     return rows, chi2
 
 
@@ -154,7 +131,9 @@ def add_inertial_sums(readings: Readings, width: int, band: Band) -> tuple[Float
     last = band.rest
     products, chi2 = np.zeros((last, last)), np.zeros(2)
     library.gnomon_inertial_sums(
-        *(_long(readings.count), ctypes.byref(readings), _long(width), ctypes.byref(band)), _out(products), _out(chi2)
+        *(c_long(readings.count), ctypes.byref(readings), c_long(width), ctypes.byref(band)),
+        array_out(products),
+        array_out(chi2),
     )
     return products, chi2
 
@@ -199,12 +178,12 @@ def add_corner_sums(
     assert library is not None
     number, counted, by_twist, rest, squares = offsets or (None,) * 5
     library.gnomon_corner_sums(
-        *(_long(len(start) - 1), _long(len(points)), *map(_at, (start, *pose, points, pixels, lens, own))),
-        *(_long(len(own)), ctypes.c_double(scale), _long(scale_column), _at(shape)),
-        *(_long(0 if shape is None else len(shape)), _at(spread), _at(sign), ctypes.c_double(sigma_px)),
-        *(ctypes.c_double(huber), _long(sums.shape[1] != sums.shape[2]), _out(sums)),
-        *(*map(_out, of_exposure), *map(_out, of_corner), *map(_at, (number, counted))),
-        *(_long(0 if squares is None else len(squares)), *map(_out, (by_twist, rest, squares))),
+        *(c_long(len(start) - 1), c_long(len(points)), *map(array_in, (start, *pose, points, pixels, lens, own))),
+        *(c_long(len(own)), ctypes.c_double(scale), c_long(scale_column), array_in(shape)),
+        *(c_long(0 if shape is None else len(shape)), array_in(spread), array_in(sign), ctypes.c_double(sigma_px)),
+        *(ctypes.c_double(huber), c_long(sums.shape[1] != sums.shape[2]), array_out(sums)),
+        *(*map(array_out, of_exposure), *map(array_out, of_corner), *map(array_in, (number, counted))),
+        *(c_long(0 if squares is None else len(squares)), *map(array_out, (by_twist, rest, squares))),
     )
 
 
@@ -212,7 +191,9 @@ def add_spans(sums: Floats, spans: Integers, band: Band) -> None:
     """Add the products (s, b, w) of the rows of spans (s,), their first control points."""
     library = load_kernel()
     assert library is not None
-    library.gnomon_add_spans(_long(len(spans)), _long(sums.shape[2]), _at(sums), _at(spans), ctypes.byref(band))
+    library.gnomon_add_spans(
+        c_long(len(spans)), c_long(sums.shape[2]), array_in(sums), array_in(spans), ctypes.byref(band)
+    )
 
 
 def gather_tied(
@@ -234,75 +215,15 @@ def gather_tied(
     """
     library = load_kernel()
     assert library is not None
-    pointers = [_at(part) for row in band for part in row]
+    pointers = [array_in(part) for row in band for part in row]
     library.gnomon_gather_tied(
-        *map(_long, (len(tail), per_block, band[0][0].shape[2], offset, len(groups))),
-        *(_at(np.array(groups, dtype=np.int64)), (ctypes.c_void_p * len(pointers))(*(one.value for one in pointers))),
-        *(_at(tail), _long(tail.shape[2]), _out(lower), _out(chain)),
+        *map(c_long, (len(tail), per_block, band[0][0].shape[2], offset, len(groups))),
+        *(
+            array_in(np.array(groups, dtype=np.int64)),
+            (ctypes.c_void_p * len(pointers))(*(one.value for one in pointers)),
+        ),
+        *(array_in(tail), c_long(tail.shape[2]), array_out(lower), array_out(chain)),
     )
-
-
-def integrate_segments(
-    lengths: Integers, omega: Floats, dt_s: Floats, regressors: Floats | None
-) -> tuple[Floats, Floats]:
-    """Return rotations (m, 3, 3) and sensitivities (m, 3, 3, 7) of segments; see `integrate_rates` of the estimation.
-
-    Parameters
-    ----------
-    lengths : (m,) samples of the segments
-    omega, dt_s, regressors : (n, 3) [rad/s], (n,) [s], (n, 7) or None: of the samples
-    """
-    library = load_kernel()
-    assert library is not None
-    rotation, sensitivity = np.empty((len(lengths), 3, 3)), np.empty((len(lengths), 3, 3, 7))
-    library.gnomon_integrate_rates(
-        *(_long(len(lengths)), *map(_at, (lengths, omega, dt_s, regressors)), _out(rotation), _out(sensitivity))
-    )
-    return rotation, sensitivity
-
-
-def allan_short(values: Floats, zero: Floats, count: int, stride: int) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return sums of the first samples (n, 3) about a zero (3,); the first `count` begin a term.
-
-    Returns
-    -------
-    the sums of the first 0, 2^12, 2 2^12, ... samples (k, 3) and of the first `count` (3,), those of z_m^2 (3, k) for
-    1, 2, 4, ... samples averaged, those of the first `count` sums (3,), and those of `stride` samples each (k, 3)
-    """
-    library = load_kernel()
-    assert library is not None
-    row = 1 << ALLAN_SHORT
-    marks, end, line = np.empty((count // row + 1, 3)), np.empty(3), np.zeros(3)
-    squares, thinned = np.zeros((3, ALLAN_SHORT)), np.empty((count // stride if stride > 1 else 0, 3))
-    step, across = (_long(stride // values.itemsize) for stride in values.strides)
-    library.gnomon_allan_short(
-        *(_long(len(values)), ctypes.c_void_p(values.ctypes.data), step, across, _at(zero), _long(count)),
-        *(_long(stride), *map(_out, (marks, end, squares, line, thinned, np.empty(3 * (3 * row + 8) + 8)))),
-    )
-    return marks, end, squares, line, thinned
-
-
-def allan_long(samples: Sequence[Floats], marks: Floats, zero: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
-    """Return sums of z_m^2 and of z_m (3, levels) for averaging times of m, 2 m, 4 m, ... samples.
-
-    Parameters
-    ----------
-    samples : in parts (k, 3), all but the last of multiples of m
-    marks : sums of what is before every m-th (rows, 3); they are changed
-    zero : about which the samples are summed up (3,)
-    """
-    library = load_kernel()
-    assert library is not None
-    parts = [np.ascontiguousarray(part) for part in samples]
-    starts = [part.ctypes.data + m * part.strides[0] * np.arange(-(-len(part) // m)) for part in parts]
-    rows = np.concatenate([*starts, np.zeros(1, np.int64)])  # the last one may be a sum without a sample
-    width = min(m, max(_NEAR // len(marks) // 8 * 8, 8))
-    squares, totals, work = np.zeros((3, levels)), np.zeros((3, levels)), np.empty(3 * width * (len(marks) + 1) + 8)
-    library.gnomon_allan_long(
-        *(_long(sum(map(len, parts)) + 1), _at(rows), _out(marks), _at(zero), _long(m), _long(width), _long(levels)),
-        *map(_out, (work, squares, totals)),
-    )
-    return squares, totals
 
 
 def descend_corners(
@@ -329,9 +250,24 @@ def descend_corners(
     found = np.zeros((3, len(states), 2, 2))
     variance = np.full(len(states), np.inf)
     library.gnomon_descend_corners(
-        *(_long(len(values)), _long(values.shape[1]), _long(len(places) == 1), _at(values), _at(places), _at(weights)),
-        *(_long(tip), _at(rules), _at(active), _out(states), _out(found[0]), _out(variance), _out(found[1])),
-        _out(found[2]),
+        *(
+            c_long(len(values)),
+            c_long(values.shape[1]),
+            c_long(len(places) == 1),
+            array_in(values),
+            array_in(places),
+            array_in(weights),
+        ),
+        *(
+            c_long(tip),
+            array_in(rules),
+            array_in(active),
+            array_out(states),
+            array_out(found[0]),
+            array_out(variance),
+            array_out(found[1]),
+        ),
+        array_out(found[2]),
     )
     return found[0], variance, found[1], found[2]
 
@@ -342,7 +278,7 @@ def solve_homography(points: Floats, pixels: Floats) -> Floats:
     assert library is not None
     found = np.empty((3, 3))
     points, pixels = np.ascontiguousarray(points), np.ascontiguousarray(pixels)
-    library.gnomon_fit_homography(_long(len(points)), _at(points), _at(pixels), _out(found))
+    library.gnomon_fit_homography(c_long(len(points)), array_in(points), array_in(pixels), array_out(found))
     return found
 
 
@@ -357,36 +293,5 @@ def undo_png_filters(rows: bytes, width: int, height: int) -> NDArray[np.uint8] 
     assert library is not None
     assert len(rows) == height * (width + 1)
     found = np.empty((height, width), dtype=np.uint8)
-    strange = library.gnomon_undo_png_filters(_long(height), _long(width), ctypes.c_char_p(rows), _out(found))
+    strange = library.gnomon_undo_png_filters(c_long(height), c_long(width), ctypes.c_char_p(rows), array_out(found))
     return None if strange else found
-
-
-def join_columns(first: bytes, others: bytes) -> memoryview:
-    """Return the lines of a table, of the JSON texts of its first column and of the rows of all others."""
-    library = load_kernel()
-    assert library is not None
-    lines = np.empty(len(first) + len(others), dtype=np.uint8)
-    return lines[: library.gnomon_join_columns(ctypes.c_char_p(first), ctypes.c_char_p(others), _out(lines))].data
-
-
-def read_plain_numbers(text: bytes, delimiter: str | None, whole: Sequence[bool]) -> list[NDArray[Any]] | None:
-    """Return the columns of a table of plain numbers; None where it is anything else, or needs more digits than 2^53.
-
-    Parameters
-    ----------
-    delimiter : one character; None is any white space
-    whole : of each column, whether its numbers are integers
-    """
-    library = load_kernel()
-    assert library is not None
-    if not text or b"\0" in text:
-        return None
-    values = np.empty((text.count(b"\n") + 1, len(whole)))
-    count = library.gnomon_read_table(
-        *(ctypes.c_char_p(text), _long(ord(delimiter or " ")), _long(len(whole))),
-        *(_at(np.array(whole, dtype=np.uint8)), _out(values)),
-    )
-    if count < 1:
-        return None
-    columns = np.ascontiguousarray(values[:count].T)
-    return [column.view(np.int64) if one else column for column, one in zip(columns, whole, strict=True)]

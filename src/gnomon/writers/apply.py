@@ -7,6 +7,7 @@ was added to its timestamps. The specific force beside a rate is the one that th
 gyroscope's correction used.
 """
 
+import ctypes
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,8 +18,7 @@ import numpy as np
 import orjson
 
 from ..errors import FormatError, RecordingError
-from ..kernel import load_kernel
-from ..kernel.library import join_columns
+from ..kernel import array_out, load_kernel
 from ..output import atomic_file
 from ..progress import Progress
 from ..readers.samples.stream import TRIADS, BlockRows, Blocks, SampleStream, open_stream, read_thermometer
@@ -167,6 +167,14 @@ def write_calibrated(
                 file.write(_lines(stamps, rows) if load_kernel() is None else join_columns(stamps, rows))
             count += len(t_ns)
     return count
+
+
+def join_columns(first: bytes, others: bytes) -> memoryview:
+    """Return the lines of a table, of the JSON texts of its first column and of the rows of all others."""
+    library = load_kernel()
+    assert library is not None
+    lines = np.empty(len(first) + len(others), dtype=np.uint8)
+    return lines[: library.gnomon_join_columns(ctypes.c_char_p(first), ctypes.c_char_p(others), array_out(lines))].data
 
 
 def _lines(stamps: bytes, rows: bytes) -> bytes:

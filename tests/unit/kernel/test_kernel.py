@@ -21,10 +21,9 @@ from gnomon.estimate.camera_imu.terms.board_terms import CornerProducts
 from gnomon.estimate.camera_imu.terms.visual_terms import CornerNoise, Exposures, corner_sums
 from gnomon.estimate.multiposition.measurements import MotionSegments, integrate_rates
 from gnomon.geometry.rotations import rotation_from_rotvec
-from gnomon.kernel.library import join_columns
 from gnomon.models.camera import Camera
 from gnomon.models.lens_names import COEFFICIENTS, SHAPES
-from gnomon.writers.apply import _lines
+from gnomon.writers.apply import _lines, join_columns
 
 ROOT = Path(__file__).parents[3]
 compiled = pytest.mark.skipif(kernel.load_kernel() is None, reason="the kernel was not compiled")

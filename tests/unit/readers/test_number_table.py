@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gnomon import kernel
-from gnomon.kernel.library import read_plain_numbers
 from gnomon.readers.samples import text_table
-from gnomon.readers.samples.text_table import parse_number_table
+from gnomon.readers.samples.text_table import parse_number_table, read_plain_numbers
 
 
 def read_slowly(data: bytes, kinds: list[str]):

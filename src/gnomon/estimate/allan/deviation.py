@@ -29,17 +29,20 @@ covariance g(s) by differencing it at both ends. The estimates at averaging time
 Gaussian second differences, whence their covariance 2 cov(z_i, z_j)^2, summed over all pairs.
 """
 
+import ctypes
+from collections.abc import Sequence
 from math import log, log2, pi, sqrt
 
 import numpy as np
 
 from ...frozen import value_class
-from ...kernel import load_kernel
-from ...kernel.library import ALLAN_SHORT, allan_long, allan_short
+from ...kernel import array_in, array_out, c_long, load_kernel
 from ...processes import results_ahead
 from ...recording import Floats, Integers
 
-_HALO = 1 << ALLAN_SHORT
+_SHORT = 12
+"""Of averaging times that are summed up as the samples come (SHORT in kernel.c)."""
+_HALO = 1 << _SHORT
 """Averaging times below 2^12 samples are summed up as the samples come, longer ones from samples that are kept."""
 _CHUNK, _CHUNKS = 1 << 18, 4  # samples of a chunk, and how many are taken at once
 _KEPT = 1 << 22  # samples kept; of longer recordings two, four, ... are one
@@ -97,7 +100,7 @@ class AllanSums:
     def __init__(self) -> None:
         self.samples = 0
         self._waiting = self._first = np.empty((0, 3))  # the last samples, and the first ones
-        self._squares, self._terms = np.zeros((3, ALLAN_SHORT)), np.zeros(ALLAN_SHORT)
+        self._squares, self._terms = np.zeros((3, _SHORT)), np.zeros(_SHORT)
         self._kept: list[Floats] = []  # samples (k, 3), each the sum of `stride`
         self._marks: list[Floats] = []  # S (k, 3) of the first 0, 2^12, 2 2^12, ... samples
         self._stride = 1
@@ -123,7 +126,7 @@ class AllanSums:
         sums = results_ahead(lambda part: _short_sums(*part, self._first[0], self._stride), parts)
         for (part, own), (marks, end, squares, line, thinned) in zip(parts, sums, strict=True):
             self._squares += squares
-            self._terms += np.clip(len(part) + 1 - (2 << np.arange(ALLAN_SHORT)), 0, own)
+            self._terms += np.clip(len(part) + 1 - (2 << np.arange(_SHORT)), 0, own)
             self._kept.append(part[:own] if self._stride == 1 else thinned)
             self._marks.append((marks if own == len(part) else marks[:-1]) + self._line[1])
             self._line += [np.full(3, own), end, (own - 1) * end - line + self._line[0] * end]
@@ -146,12 +149,12 @@ class AllanSums:
             self._process(rest, len(rest))
         factors = 1 << np.arange(levels, dtype=np.int64)
         squares, terms, totals = self._squares[:, :levels], self._terms[:levels], self._totals(rest, factors)
-        if levels > ALLAN_SHORT:
+        if levels > _SHORT:
             m = _HALO // self._stride
-            long = _long_sums(self._kept, np.concatenate(self._marks), self._zero, m, levels - ALLAN_SHORT)
+            long = _long_sums(self._kept, np.concatenate(self._marks), self._zero, m, levels - _SHORT)
             squares, totals = (np.append(a, b, axis=1) for a, b in zip((squares, totals), long, strict=True))
             held = sum(map(len, self._kept)) + 1
-            terms = np.append(terms, held - 2 * (m << np.arange(levels - ALLAN_SHORT)))
+            terms = np.append(terms, held - 2 * (m << np.arange(levels - _SHORT)))
         self._kept, self._waiting = [], np.empty((0, 3))  # other sums may need the memory
         n, total, numbered = self._line
         slope = (numbered - total * (n - 1) / 2) / np.maximum(n * (n * n - 1) / 12, 1.0)
@@ -169,8 +172,8 @@ class AllanSums:
 
     def _totals(self, rest: Floats, factors: Integers) -> Floats:
         """Return the sums of z_m (3, k) of shorter averaging times: the first and the last samples are left of them."""
-        totals = np.zeros((3, min(len(factors), ALLAN_SHORT)))
-        for level, m in enumerate(factors[:ALLAN_SHORT].tolist()):
+        totals = np.zeros((3, min(len(factors), _SHORT)))
+        for level, m in enumerate(factors[:_SHORT].tolist()):
             weights = np.minimum(np.arange(1, 2 * m), np.arange(2 * m - 1, 0, -1))
             totals[:, level] = weights @ (rest[len(rest) - len(weights) :] - self._first[: len(weights)])
         return totals
@@ -182,11 +185,11 @@ def _levels(samples: int) -> int:
 
 
 def _short_sums(values: Floats, count: int, zero: Floats, stride: int) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return sums of samples (n, 3) for averaging times below 2^12 samples, see `allan_short`."""
+    """Return sums of samples (n, 3) for averaging times below 2^12 samples, see `_kernel_short`."""
     if load_kernel() is not None:
-        return allan_short(values, zero, count, stride)
+        return _kernel_short(values, zero, count, stride)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values - zero, axis=0)])
-    squares = [np.sum(_differences(sums, 1 << level)[:count] ** 2, axis=0) for level in range(ALLAN_SHORT)]
+    squares = [np.sum(_differences(sums, 1 << level)[:count] ** 2, axis=0) for level in range(_SHORT)]
     first = sums[: count + 1]
     return (
         first[::_HALO],
@@ -198,9 +201,9 @@ def _short_sums(values: Floats, count: int, zero: Floats, stride: int) -> tuple[
 
 
 def _long_sums(samples: list[Floats], marks: Floats, zero: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
-    """Return sums for averaging times of m, 2 m, 4 m, ... samples, see `allan_long`."""
+    """Return sums for averaging times of m, 2 m, 4 m, ... samples, see `_kernel_long`."""
     if load_kernel() is not None:
-        return allan_long(samples, marks, zero, m, levels)
+        return _kernel_long(samples, marks, zero, m, levels)
     sums = np.cumsum(np.concatenate([np.zeros((1, 3)), *(part - zero for part in samples)]), axis=0)
     found = [_differences(sums, m << level) for level in range(levels)]
     return np.stack([np.sum(z**2, axis=0) for z in found], axis=1), np.stack([z.sum(axis=0) for z in found], axis=1)
@@ -296,3 +299,62 @@ def line_effect(factors: Integers, samples: int) -> LineEffect:
         together = np.einsum("pkai,a,i->pk", integral_covariances(lags), _SECOND, ends).mean(axis=1)
         taken[row] = together - 0.5 * m**2 * variance
     return LineEffect(slope_variance=variance, taken=taken)
+
+
+# ---- the same, compiled ----
+
+_NEAR = 16_384  # numbers that the processor keeps near
+
+
+def _kernel_short(
+    values: Floats, zero: Floats, count: int, stride: int
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return sums of the first samples (n, 3) about a zero (3,); the first `count` begin a term.
+
+    Returns
+    -------
+    the sums of the first 0, 2^12, 2 2^12, ... samples (k, 3) and of the first `count` (3,), those of z_m^2 (3, k) for
+    1, 2, 4, ... samples averaged, those of the first `count` sums (3,), and those of `stride` samples each (k, 3)
+    """
+    library = load_kernel()
+    assert library is not None
+    row = 1 << _SHORT
+    marks, end, line = np.empty((count // row + 1, 3)), np.empty(3), np.zeros(3)
+    squares, thinned = np.zeros((3, _SHORT)), np.empty((count // stride if stride > 1 else 0, 3))
+    step, across = (c_long(stride // values.itemsize) for stride in values.strides)
+    library.gnomon_allan_short(
+        *(c_long(len(values)), ctypes.c_void_p(values.ctypes.data), step, across, array_in(zero), c_long(count)),
+        *(c_long(stride), *map(array_out, (marks, end, squares, line, thinned, np.empty(3 * (3 * row + 8) + 8)))),
+    )
+    return marks, end, squares, line, thinned
+
+
+def _kernel_long(samples: Sequence[Floats], marks: Floats, zero: Floats, m: int, levels: int) -> tuple[Floats, Floats]:
+    """Return sums of z_m^2 and of z_m (3, levels) for averaging times of m, 2 m, 4 m, ... samples.
+
+    Parameters
+    ----------
+    samples : in parts (k, 3), all but the last of multiples of m
+    marks : sums of what is before every m-th (rows, 3); they are changed
+    zero : about which the samples are summed up (3,)
+    """
+    library = load_kernel()
+    assert library is not None
+    parts = [np.ascontiguousarray(part) for part in samples]
+    starts = [part.ctypes.data + m * part.strides[0] * np.arange(-(-len(part) // m)) for part in parts]
+    rows = np.concatenate([*starts, np.zeros(1, np.int64)])  # the last one may be a sum without a sample
+    width = min(m, max(_NEAR // len(marks) // 8 * 8, 8))
+    squares, totals, work = np.zeros((3, levels)), np.zeros((3, levels)), np.empty(3 * width * (len(marks) + 1) + 8)
+    library.gnomon_allan_long(
+        *(
+            c_long(sum(map(len, parts)) + 1),
+            array_in(rows),
+            array_out(marks),
+            array_in(zero),
+            c_long(m),
+            c_long(width),
+            c_long(levels),
+        ),
+        *map(array_out, (work, squares, totals)),
+    )
+    return squares, totals

@@ -16,8 +16,7 @@ import numpy as np
 from ...errors import InitialisationError
 from ...frozen import value_class
 from ...geometry.rotations import rk4n_steps, rotation_from_quaternion, running_products
-from ...kernel import load_kernel
-from ...kernel.library import integrate_segments
+from ...kernel import array_in, array_out, c_long, load_kernel
 from ...recording import Floats, Integers, frozen_array
 from ...solve.least_squares import LeastSquaresSolution, levenberg_marquardt
 
@@ -289,6 +288,30 @@ def integrate_rates(segments: MotionSegments, omega: Floats, regressors: Floats 
         rotation=np.concatenate([part.rotation for part in parts]),
         sensitivity=np.concatenate([part.sensitivity for part in parts]),
     )
+
+
+def integrate_segments(
+    lengths: Integers, omega: Floats, dt_s: Floats, regressors: Floats | None
+) -> tuple[Floats, Floats]:
+    """Return rotations (m, 3, 3) and sensitivities (m, 3, 3, 7) of segments; see `integrate_rates`.
+
+    Parameters
+    ----------
+    lengths : (m,) samples of the segments
+    omega, dt_s, regressors : (n, 3) [rad/s], (n,) [s], (n, 7) or None: of the samples
+    """
+    library = load_kernel()
+    assert library is not None
+    rotation, sensitivity = np.empty((len(lengths), 3, 3)), np.empty((len(lengths), 3, 3, 7))
+    library.gnomon_integrate_rates(
+        *(
+            c_long(len(lengths)),
+            *map(array_in, (lengths, omega, dt_s, regressors)),
+            array_out(rotation),
+            array_out(sensitivity),
+        )
+    )
+    return rotation, sensitivity
 
 
 def _integrate_part(segments: MotionSegments, omega: Floats, regressors: Floats | None) -> Turns:
