@@ -20,11 +20,11 @@ from ..assess.imu.temperature import check_temperature
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..detect.samples.faults import RepeatWatch, dead_bands, isolated_readings, without_readings
 from ..detect.samples.rest_watch import RestTable, RestWatch
-from ..detect.samples.static_intervals import averaging_time
 from ..errors import RecordingError
 from ..estimate.allan.deviation import KINDS, AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
 from ..estimate.allan.patterns import HighPass, longest_unfiltered_s
+from ..estimate.multiposition.noise_levels import averaging_time
 from ..findings import Finding, make_finding
 from ..kernel import one_blas_thread
 from ..options import NoiseOptions

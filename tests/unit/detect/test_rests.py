@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.calibrate.steps.preparation import disturbed_intervals
 from gnomon.detect.samples import stillness
 from gnomon.detect.samples.rests import RestStatistics, choose_threshold, detect_rests, find_rests, trim_intervals
-from gnomon.detect.samples.static_intervals import allan_deviation, averaging_time, disturbed_intervals, resting_noise
 from gnomon.detect.samples.stillness import (
     RateMarks,
     mark_rates,
@@ -20,6 +20,7 @@ from gnomon.detect.samples.stillness import (
     window_samples,
     window_variances,
 )
+from gnomon.estimate.multiposition.noise_levels import allan_deviation, averaging_time, resting_noise
 from gnomon.recording import TriadSamples
 from gnomon.recording.samples import time_base
 from gnomon.results.result import StaticIntervals, interval_means, runs_below

@@ -3,13 +3,12 @@
 import numpy as np
 
 from ...detect.samples.rests import ThresholdTrial
-from ...detect.samples.static_intervals import allan_deviation, averaging_time
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.evidence import LeaveOneOutErrors
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.measurements import MotionSegments, integrate_rates, propagate_directions
 from ...estimate.multiposition.model import B_, BG_, PARAMETERS
-from ...estimate.multiposition.noise_levels import whitened_rest
+from ...estimate.multiposition.noise_levels import allan_deviation, averaging_time, whitened_rest
 from ...estimate.multiposition.problem import ImuEstimate, MultiPositionProblem, TriadStream
 from ...estimate.trust.parts import Instability
 from ...findings import join_names, list_first

@@ -18,10 +18,10 @@ from ...assess.imu.imu_tables import (
 )
 from ...assess.imu.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
 from ...assess.verdict import gravity_findings, with_verdict
-from ...detect.samples.static_intervals import resting_noise
 from ...detect.samples.stillness import variance_magnitude_squared, window_samples, window_variances
 from ...errors import DetectionError, InitialisationError
 from ...estimate.multiposition.measurements import UPPER, MagnitudeFit, MotionSegments, cut_segments, segments_between
+from ...estimate.multiposition.noise_levels import resting_noise
 from ...estimate.multiposition.problem import ImuEstimate, gyroscope_intervals
 from ...estimate.multiposition.tedaldi import (
     RULES,

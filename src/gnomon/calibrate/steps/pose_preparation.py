@@ -6,10 +6,10 @@ import numpy as np
 
 from ...assess.checks.signals import check_magnitude, check_signal
 from ...detect.samples.faults import repair_samples, saturated_samples
-from ...detect.samples.static_intervals import resting_noise, rounding_variance
 from ...detect.samples.stillness import resting_variances, variance_magnitude_squared, window_samples, window_variances
 from ...errors import DetectionError, RecordingError
 from ...estimate.multiposition.measurements import cut_segments, segments_between
+from ...estimate.multiposition.noise_levels import resting_noise, rounding_variance
 from ...estimate.multiposition.problem import gyroscope_intervals, why_unlinked
 from ...estimate.triads.gyroscope_at_rests import RestRotations
 from ...findings import Finding

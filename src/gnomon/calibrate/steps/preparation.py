@@ -1,4 +1,7 @@
-"""Before anything is estimated: one IMU's samples, checked and put on their time base, its rests, and local gravity."""
+"""Before anything is estimated: one IMU's samples, checked and put on their time base, its rests, and local gravity.
+
+Of the rests some do not show gravity like the others: they were disturbed, and are left out.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -11,21 +14,17 @@ from ...assess.imu.recording_changes import axes_changed_findings
 from ...assess.imu.temperature import CHIP_DEGC
 from ...assess.priors import Priors
 from ...detect.samples.faults import repair_samples, repeated_stretches, saturated_samples
-from ...detect.samples.rests import RestDetection, ThresholdTrial
-from ...detect.samples.static_intervals import (
-    accelerometer_course,
-    disturbed_intervals,
-    resting_noise,
-    rounding_variance,
-)
+from ...detect.samples.rests import FEWEST_INTERVALS, RestDetection, ThresholdTrial
 from ...errors import DetectionError, OptionError, RecordingError
-from ...estimate.multiposition.bias_changes import BiasChanges
+from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
+from ...estimate.multiposition.noise_levels import resting_noise, rounding_variance
 from ...estimate.multiposition.problem import (
     ImuEstimate,
     MultiPositionProblem,
     TriadStream,
     build_problem,
     gyroscope_intervals,
+    rest_means,
 )
 from ...estimate.trust.changes import look_or_postpone
 from ...findings import Finding, make_finding
@@ -34,7 +33,7 @@ from ...models.gravity import EARTH_RATE_RAD_S, NORMAL_GRAVITY_SIGMA_M_S2, norma
 from ...models.target import Target
 from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
 from ...recording import Floats, ImuSamples, Recording, TemperatureSamples, TriadSamples, shared_sources, smallest_steps
-from ...recording.samples import TimeBase, time_base
+from ...recording.samples import TimeBase, median_of, time_base
 from ...recording.thermometer import known_readings, temperature_course
 from ...results.calibration import (
     UNSTATED_GRAVITY,
@@ -432,6 +431,66 @@ def gather_readings(
         lag_s=lag_s,
         noticed=look_or_postpone(lambda: axes_changed_findings(whole)),
     )
+
+
+_OUTLIER_SIGMA = 6.0
+_SUSPICIOUS_SIGMA = 2.5
+_REWEIGHTINGS = 6
+_NO_WEIGHT = 1e-6
+
+
+def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Floats]:
+    """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows."""
+    changes = accelerometer_changes(rest_means(accelerometer))
+    start, stop = (accelerometer.t_s[at] for at in (accelerometer.intervals.start, accelerometer.intervals.stop - 1))
+    return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start), accelerometer.degc_at_rest)
+
+
+def disturbed_intervals(
+    trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None, noise: Floats | None = None
+) -> Booleans:
+    """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
+
+    Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several
+    disturbed intervals cannot hide by bending the fit; then each interval is judged by its residual when left out of a
+    fit to those that agree. Residuals of a few per cent of gravity are linear enough to be refitted as they stand.
+
+    Parameters
+    ----------
+    course : (n, j) functions of time that the bias follows, from `accelerometer_course`
+    noise : (3,) density of means at rest, where it is known; see `resting_noise`
+    """
+    assert trial.fit is not None
+    duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    noise = resting_noise(samples.values, trial.intervals, samples.rate_hz)[0] if noise is None else noise
+    white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
+    residual, jacobian = trial.fit.residual / weight, trial.fit.jacobian / weight[:, None]
+    if course is not None:
+        moving = course[:, :, None] * jacobian[:, None, 6:]
+        jacobian = np.concatenate([jacobian, moving.reshape(len(jacobian), -1)], axis=1)
+
+    def left_out(given: Floats) -> Floats:
+        """Return the size of each residual in a weighted fit from which it was left out."""
+        q, r = np.linalg.qr(jacobian * given[:, None])
+        step = -np.linalg.lstsq(r, q.T @ (residual * given), rcond=1e-12)[0]
+        leverage = np.einsum("ij,ij->i", q, q)
+        return np.abs(residual + jacobian @ step) / np.maximum(1 - leverage, 1e-6)
+
+    def stand_out(size: Floats, usual: float, sigmas: float) -> Booleans:
+        return size > sigmas * np.maximum(1.4826 * usual, white)
+
+    nothing = np.zeros(len(weight), dtype=bool)
+    size = left_out(weight)
+    if not stand_out(size, float(median_of(size)), _SUSPICIOUS_SIGMA).any():
+        return nothing
+    for _ in range(_REWEIGHTINGS):
+        size = left_out(1 / np.sqrt(np.maximum(size, white)))
+    agree = ~stand_out(size, 2 * float(median_of(size)), _OUTLIER_SIGMA)
+    size = left_out(np.where(agree, weight, _NO_WEIGHT))
+    out = stand_out(size, float(median_of(size[agree])), _OUTLIER_SIGMA)
+    keeps_enough = (~out).sum() >= max(FEWEST_INTERVALS + 1, 0.6 * len(out))
+    return out if keeps_enough else nothing
 
 
 def _problem(

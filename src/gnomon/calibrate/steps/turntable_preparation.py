@@ -9,9 +9,9 @@ import numpy as np
 from ...assess.checks.signals import check_signal, check_stamps
 from ...assess.imu.temperature import check_temperature
 from ...detect.samples.faults import repair_samples, saturated_samples
-from ...detect.samples.static_intervals import resting_noise
 from ...detect.samples.steady import block_means, block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
+from ...estimate.multiposition.noise_levels import resting_noise
 from ...estimate.turntable.parts import (
     NO_SPEED,
     AxisInSensor,

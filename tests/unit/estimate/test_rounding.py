@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.detect.samples.static_intervals import averaging_time, rounding_variance
+from gnomon.estimate.multiposition.noise_levels import averaging_time, rounding_variance
 from gnomon.recording import smallest_steps
 from gnomon.results.calibration import calibration_parameters
 from gnomon.results.result import StaticIntervals
