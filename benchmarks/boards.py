@@ -24,13 +24,19 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid  # noqa: E402
 from gnomon.detect.boards.board import BoardView  # noqa: E402
 from gnomon.detect.boards.charuco import detect_charuco  # noqa: E402
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumber_view  # noqa: E402
-from gnomon.detect.boards.circlegrid import detect_circlegrid  # noqa: E402
+from gnomon.detect.boards.circlegrid import CircleGridDetector  # noqa: E402
 from gnomon.models.target import Target  # noqa: E402
 from gnomon.recording import Floats  # noqa: E402
 from gnomon.recording.recording import Grey  # noqa: E402
 from rendered import Ranges, rendered_views  # noqa: E402
 
 Detector = Callable[[Grey, Target], BoardView]
+
+
+def detect_circlegrid(image: Grey, target: Target) -> BoardView:
+    """Find a grid in one image, as if it were the first."""
+    return CircleGridDetector(target).detect(image)
+
 
 BOARDS: dict[str, tuple[Target, Detector, tuple[float, float]]] = {
     "AprilGrid 6 x 6": (
