@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
+import field_logs
 import gnomon
 from gnomon.live.recorder import is_printable
 from gnomon.live.sources import PushSource
@@ -203,6 +204,14 @@ def _raw_gpmf() -> list[bytes]:
     return [b"".join(payloads), payloads[0]]
 
 
+def _autopilot(write: Callable[[Path, field_logs.Samples], Path]) -> list[bytes]:
+    """Return the log of an autopilot, of a motion of some seconds."""
+    whole = field_logs.samples()
+    some = field_logs.Samples(whole.t[:60], whole.force[:60], whole.rate[:60], whole.field[:60])
+    with TemporaryDirectory() as folder:
+        return [write(Path(folder) / "log", some).read_bytes()]
+
+
 def _beside_poses(folder: Path) -> None:
     for number in range(4):
         (folder / f"pose{number}.csv").write_bytes(table("t_ns,gx,gy,gz,ax,ay,az"))
@@ -290,5 +299,13 @@ SAMPLES: tuple[Target, ...] = (
         seeds=lambda: [phone("sensor-logger")["Metadata.csv"]],
     ),
     Target(name="gpmf-mp4", file="GX01.MP4", seeds=_mp4, read=lambda folder: gnomon.read(folder / "GX01.MP4")),
+    Target(
+        name="px4-ulog", file="log.ulg", seeds=lambda: _autopilot(field_logs.ulog),
+        read=lambda folder: gnomon.read(folder / "log.ulg"),
+    ),
+    Target(
+        name="ardupilot-dataflash", file="log.bin", seeds=lambda: _autopilot(field_logs.dataflash),
+        read=lambda folder: gnomon.read(folder / "log.bin"),
+    ),
     Target(name="gpmf-raw", file="track.bin", seeds=_raw_gpmf, read=lambda folder: gnomon.read(folder / "track.bin")),
 )  # fmt: skip

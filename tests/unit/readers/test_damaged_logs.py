@@ -38,6 +38,32 @@ def test_the_head_of_an_autopilots_log_alone_is_refused_with_words(cut, tmp_path
             read(path)
 
 
+@pytest.mark.parametrize(
+    ("write", "was", "damaged", "says"),
+    [
+        (field_logs.ulog, b"uint64_t timestamp;float[3]", b"float[2] timestamp;float[3]", "timestamps are not whole"),
+        (field_logs.dataflash, b"TimeUS,I,GyrX", b"TimeUS,,,GyrX", "no messages IMU"),
+    ],
+)
+def test_a_damaged_format_of_an_autopilots_log_is_refused_with_words(write, was, damaged, says, tmp_path) -> None:
+    path = write(tmp_path / "log", TRUTH)
+    content = path.read_bytes()
+    assert was in content
+    path.write_bytes(content.replace(was, damaged))
+    with pytest.raises(RecordingError, match=says):
+        read(path)
+
+
+def test_a_name_that_damage_gave_twice_and_a_nan_that_signals_are_passed_over(tmp_path) -> None:
+    path = field_logs.ulog(tmp_path / "log.ulg", TRUTH)
+    force = np.float32(TRUTH.force[3]).tobytes()
+    content = path.read_bytes().replace(b"float x;float y;", b"float x;float x;").replace(force, b"\1\0\x80\x7f" * 3)
+    path.write_bytes(content)
+    (imu,) = read(path).imus.values()
+    assert len(imu.accelerometer) == COUNT - 1
+    assert imu.magnetometer is None
+
+
 def test_an_autopilots_log_takes_no_columns(tmp_path) -> None:
     with pytest.raises(OptionError, match="Leave out --columns"):
         read(field_logs.ulog(tmp_path / "log.ulg", TRUTH), columns="t ax ay az gx gy gz")

@@ -146,7 +146,7 @@ class _Ulog:
         place = 0
         for kind, count, label in self.formats.get(topic.name, []):
             size = count * self._size(kind)
-            if label in wanted and kind in _ULOG_TYPES and place + size <= topic.size:
+            if label in wanted - {*names} and kind in _ULOG_TYPES and place + size <= topic.size:
                 names.append(label)
                 kinds.append((_ULOG_TYPES[kind], (count,)) if count > 1 else _ULOG_TYPES[kind])
                 offsets.append(place)
@@ -165,7 +165,7 @@ class _Ulog:
             if rows is None or set(rows.dtype.names or ()) != {"timestamp", "temperature"}:
                 continue
             good = np.isfinite(rows["temperature"])
-            t_ns, values = 1000 * rows["timestamp"].astype(np.int64), rows["temperature"].astype(np.float64)
+            t_ns, values = _stamps_ns(rows["timestamp"], 1000, self.name), _floats(rows["temperature"])
             if good.sum() > 1:
                 return TemperatureSamples(t_ns=t_ns[good], values=values[good], unit="degC")
         return None
@@ -181,14 +181,27 @@ class _Ulog:
         known = () if rows is None else rows.dtype.names or ()
         if rows is None or "timestamp" not in known or any(one not in known for one in fields):
             return None
-        t_us = rows["timestamp_sample" if "timestamp_sample" in known else "timestamp"].astype(np.int64)
+        t_ns = _stamps_ns(rows["timestamp_sample" if "timestamp_sample" in known else "timestamp"], 1000, self.name)
         if fields == ("accelerometer_m_s2",) and extra in known:
-            t_us = t_us + rows[extra].astype(np.int64)
-        values = np.column_stack([rows[one].astype(np.float64) for one in fields])
+            t_ns = t_ns + _stamps_ns(rows[extra], 1000, self.name)
+        values = np.column_stack([_floats(rows[one]) for one in fields])
         good = np.isfinite(values).all(axis=1)
         if fields == ("accelerometer_m_s2",) and extra in known:
             good &= rows[extra] != np.iinfo(np.int32).max  # no accelerometer sample with this one
-        return (1000 * t_us[good], np.ascontiguousarray(values[good])) if good.sum() > 1 else None
+        return (t_ns[good], np.ascontiguousarray(values[good])) if good.sum() > 1 else None
+
+
+def _floats(values: NDArray[Any]) -> Floats:
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+        return values.astype(np.float64)
+
+
+def _stamps_ns(values: NDArray[Any], unit_ns: int, name: str) -> Integers:
+    """Return timestamps (n,) in nanoseconds; a RecordingError where a damaged log has something else there."""
+    most = np.iinfo(np.int64).max // unit_ns
+    if values.ndim != 1 or values.dtype.kind not in "iu" or (values > most).any() or (values < -most).any():
+        raise RecordingError(f"{name}: its timestamps are not whole numbers that a clock can show. Is it damaged?")
+    return values.astype(np.int64) * unit_ns
 
 
 _START, _FMT, _FMT_BYTES, _TELL_BYTES = DATAFLASH_MAGIC[:2], 128, 89, 1 << 20
@@ -258,7 +271,9 @@ def read_dataflash(path: Path) -> DeviceLog:
     triads: dict[str, StampedTriad] = {}
     tables = {name: kept.table() for name, kept in messages.items() if kept.raw or kept.rows}
     for quantity, (unit, names, axes) in _SENSORS.items():
-        best = next(((name, found) for name in names if (found := _triad(tables.get(name), axes)) is not None), None)
+        best = next(
+            ((name, found) for name in names if (found := _triad(tables.get(name), axes, path.name)) is not None), None
+        )
         if best is None:
             continue
         name, (t_ns, values) = best
@@ -268,7 +283,7 @@ def read_dataflash(path: Path) -> DeviceLog:
         raise RecordingError(
             f"{path.name}: this log of ArduPilot holds no messages IMU, ACC and GYR. Let LOG_BITMASK include IMU."
         )
-    temperature = _temperature(tables.get("IMU"))
+    temperature = _temperature(tables.get("IMU"), path.name)
     return DeviceLog(**triads, temperature=temperature, sources=(file_source(path),), notes=tuple(notes))
 
 
@@ -296,8 +311,10 @@ def _binary(data: bytes, name: str) -> tuple[dict[str, _Messages], int]:
                 part.split(b"\0")[0].decode("ascii", "replace") for part in (body[2:6], body[6:22], body[22:86])
             )
             sizes[body[0]] = body[1]
-            if label in _WANTED and body[0] not in wanted and _size(formats) == body[1] - 3:
-                wanted[body[0]] = found[label] = _Messages(columns.split(","), formats)
+            names = columns.split(",")
+            whole = _size(formats) == body[1] - 3 and len(names) == len(formats)
+            if label in _WANTED and body[0] not in wanted and whole:
+                wanted[body[0]] = found[label] = _Messages(names, formats)
         elif (kept := wanted.get(kind)) is not None:
             kept.raw.append(data[place + 3 : place + size])
         place += size
@@ -326,25 +343,25 @@ def _rows(data: bytes) -> Iterator[list[str]]:
             yield [token.strip() for token in line.decode("ascii", "replace").split(",")]
 
 
-def _triad(table: dict[str, NDArray[Any]] | None, axes: tuple[str, ...]) -> tuple[Integers, Floats] | None:
+def _triad(table: dict[str, NDArray[Any]] | None, axes: tuple[str, ...], log: str) -> tuple[Integers, Floats] | None:
     """Return timestamps [ns] and values (n, 3) of the first instance; None where there are none."""
     if table is None or any(axis not in table for axis in axes):
         return None
     stamps = next((name for name in ("SampleUS", "TimeUS", "TimeMS") if name in table), None)
     if stamps is None:
         return None
-    values = np.column_stack([table[axis].astype(np.float64) for axis in axes])
+    values = np.column_stack([_floats(table[axis]) for axis in axes])
     first = table["I"] == 0 if "I" in table else np.ones(len(values), bool)
     good = first & np.isfinite(values).all(axis=1)
-    t_ns = table[stamps].astype(np.int64) * (1_000_000 if stamps == "TimeMS" else 1000)
+    t_ns = _stamps_ns(table[stamps], 1_000_000 if stamps == "TimeMS" else 1000, log)
     return (t_ns[good], np.ascontiguousarray(values[good])) if good.sum() > 1 else None
 
 
-def _temperature(table: dict[str, NDArray[Any]] | None) -> TemperatureSamples | None:
+def _temperature(table: dict[str, NDArray[Any]] | None, log: str) -> TemperatureSamples | None:
     """Return what the thermometer of the first IMU read [degC]; None where it is not logged."""
     if table is None or not {"T", "TimeUS"} <= table.keys():
         return None
-    values = table["T"].astype(np.float64)
+    values = _floats(table["T"])
     good = np.isfinite(values) & (table["I"] == 0 if "I" in table else True)
-    t_ns = 1000 * table["TimeUS"].astype(np.int64)
+    t_ns = _stamps_ns(table["TimeUS"], 1000, log)
     return TemperatureSamples(t_ns=t_ns[good], values=values[good], unit="degC") if good.sum() > 1 else None
