@@ -4,16 +4,19 @@
 """
 
 import ast
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 import gnomon
+from gnomon.writers.recording_file import save_recording
 
 ROOT = Path(gnomon.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
-MOST_BESIDE, MOST_AT_ROOT = 25, 10
+MOST_BESIDE, MOST_AT_ROOT, MOST_ENTERED = 25, 10, 60
 
 
 def function_lines(*, docstrings):
@@ -39,6 +42,17 @@ def test_few_files_lie_beside_each_other():
     beside = Counter(path.parent for path in FILES)
     assert 0 < len([path for path in FILES if path.parent == ROOT and path.name[0] != "_"]) <= MOST_AT_ROOT
     assert max(beside.values()) <= MOST_BESIDE, beside.most_common(1)
+
+
+def test_a_reader_opens_few_files_for_a_command(tmp_path):
+    """Whoever follows `gnomon imu` through the code."""
+    entered = Path(__file__).parents[3] / "benchmarks" / "entered.py"
+    save_recording(gnomon.simulate(seed=7)[0], tmp_path / "imu.csv")
+    words = [sys.executable, str(entered), "imu", str(tmp_path / "imu.csv"), "-o", str(tmp_path / "out")]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    loaded, called = (int(part.split()[0]) for part in said.split(","))
+    assert 0 < called < loaded
+    assert called <= MOST_ENTERED, said
 
 
 if __name__ == "__main__":
